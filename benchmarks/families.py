@@ -4,14 +4,15 @@ Usage: python -m benchmarks families [FAMILY ...] [--problems N] [--first SEED]
 
 Families: ``form``, irregular hitches tied from scattered robots; ``scattered_form``, those of 3 to
 10 robots on the ground, with light and heavy cables; ``carry``, objects held by rims or
-grips, half of them beside a table; ``morph`` and ``heavy_morph``, irregular hitches into each
-other; ``past_post``, ``past_pillars``, ``past_team`` and ``tube``, such morphs past a post, past
-pillars and walls, past another team that stays or crosses, and with tracking errors; ``many``, of
-20 and 24 robots; ``chain``, of two cables; ``curves``, letters and closed curves that a vertex
-writes; ``timed``, such curves with the times of their points; ``blends``, steps in a row without a
-stop; ``box``, ``door`` and ``corridor``, single drones in tight boxes, through doors and past each
-other. Both ends of every problem are certified at rest before it is planned, and none is left out
-afterwards.
+grips, half of them beside a table; ``fitted`` and ``overloaded``, objects carried with the cables
+that ``fit`` states, and at most, or 1.05 times, the mass that it states; ``morph`` and
+``heavy_morph``, irregular hitches into each other; ``past_post``, ``past_pillars``, ``past_team``
+and ``tube``, such morphs past a post, past pillars and walls, past another team that stays or
+crosses, and with tracking errors; ``many``, of 20 and 24 robots; ``chain``, of two cables;
+``curves``, letters and closed curves that a vertex writes; ``timed``, such curves with the times of
+their points; ``blends``, steps in a row without a stop; ``box``, ``door`` and ``corridor``, single
+drones in tight boxes, through doors and past each other. Both ends of every problem are certified
+at rest before it is planned, and none is left out afterwards.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -34,8 +36,15 @@ from benchmarks.measuring import Array, Table, most_common, parser
 from hitchopt import verify
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Rim, Section
-from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, rest_polygons
-from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
+from hitchopt.planners.carrying.polygons import (
+    EDGE_MARGIN,
+    GRIP_STRETCHES,
+    GripTask,
+    HoldPolygons,
+    best_grip,
+    rest_polygons,
+)
+from hitchopt.planners.fitting import enclosing_polygon, shortest_cable
 from problems.random_morph import (
     WILD_EDGE,
     WILD_SLACK,
@@ -370,7 +379,7 @@ def _carrying(n: int, seed: int, rng: np.random.Generator) -> tuple[dict[str, An
         around, shortest = enclosing.vertices, shortest_cable([enclosing], requirements)
         kind = ho.Quadrotor()
         task = GripTask(outer, n, shortest, 1.0, 0.15, requirements, kind)
-        cable = grip_and_cable(task, requirements.separation.object)[1] + 0.3 * extra
+        cable = _gripping_cable(task, requirements.separation.object) + 0.3 * extra
     objects = {"thing": body}
     if rng.random() < 0.5:
         objects["table"] = _table(at, corner, directions[2], rng)
@@ -393,6 +402,23 @@ def _carrying(n: int, seed: int, rng: np.random.Generator) -> tuple[dict[str, An
         "mission": [{"transport_object": carry}],
     }
     return data, around
+
+
+def _gripping_cable(task: GripTask, clearance: float) -> float:
+    """Return the cable length [m] of the task, or a longer one that a wider hitch needs before.
+
+    That hitch encloses the section with a ``clearance`` [m].
+    """
+    grip = best_grip(task)
+    gap = clearance + EDGE_MARGIN
+    centre = task.section.centroid
+    polygons = HoldPolygons.about(grip.vertices, centre, (task.section,), gap, GRIP_STRETCHES)
+    try:
+        needed = shortest_cable([ho.ConvexPolygon(polygons.around)], task.requirements)
+        best_grip(replace(task, cable_length=max(needed, task.cable_length)))
+    except ho.InfeasibleError:
+        return task.cable_length
+    return max(needed, task.cable_length)
 
 
 def _table(at: Array, corner: float, direction: float, rng: np.random.Generator) -> dict[str, Any]:
@@ -427,6 +453,101 @@ def _section(half_widths: Array, is_round: bool) -> dict[str, Any]:
     """Return the section of an object with half widths (2,) [m]."""
     a, b = (round(float(x), 3) for x in half_widths)
     return {"circle": a} if is_round else {"outline": [[-a, -b], [a, -b], [a, b], [-a, b]]}
+
+
+FITTED_ROBOTS = range(3, 6)
+"""Numbers of robots whose cables and mass ``fit`` states, in turn."""
+
+MAX_GRIPPING = 4
+"""Largest number of robots that grip: more hold less."""
+
+FITTED_TENSION = (0.8, 1.3)
+"""Tension of these cables, minimum and maximum [N]."""
+
+FITTED_DENSITY = (0.001, 0.005)
+"""Density of these cables, minimum and maximum [kg/m]."""
+
+FITTED_SHARE = (0.3, 1.0)
+"""Mass of an object over the largest one that ``fit`` states, minimum and maximum."""
+
+OVERLOAD = 1.05
+"""Mass of an object that is too heavy, over the largest one that ``fit`` states."""
+
+LEAST_MASS = 0.03
+"""Smallest mass that ``fit`` states of an object that is drawn [kg]."""
+
+
+def fitted_carry(seed: int, *, overloaded: bool = False) -> dict[str, Any]:
+    """Return a problem in which a hitch with the numbers that ``fit`` states carries an object.
+
+    Rims are round or oblong above a round stem, and gripped objects are round, oblong or
+    triangular. The mass is a share of what ``fit`` states, or OVERLOAD times it.
+    """
+    n = _robots(seed, FITTED_ROBOTS)
+    rng = np.random.default_rng([n, seed, 8])
+    while True:
+        rests = bool(n > MAX_GRIPPING or rng.random() < RIM_SHARE)
+        outline = _fitted_outline(rng, rests=rests)
+        section = ho.Section(radius=outline) if isinstance(outline, float) else ho.Section(outline)
+        width = float(np.min(section.support(np.eye(2)) + section.support(-np.eye(2))))
+        values: dict[str, Any] = {
+            "height": round(float(rng.uniform(*RIM_HEIGHT)), 2),
+            "tension": round(float(rng.uniform(*FITTED_TENSION)), 2),
+            "cable_density": round(float(rng.uniform(*FITTED_DENSITY)), 4),
+        }
+        if rests:
+            values["stem"] = round(0.5 * width * float(rng.uniform(*STEM_SHARE[n])), 3)
+        limits = ho.Limits(tilt=math.radians(LIMITS["tilt_deg"]))
+        try:
+            fitted = ho.fit(outline, n, limits=limits, compared=(), **values)
+        except ho.InfeasibleError:
+            continue
+        stated = fitted.holding.capacity("rest" if rests else "grip").mass
+        share = OVERLOAD if overloaded else float(rng.uniform(*FITTED_SHARE))
+        if stated >= LEAST_MASS and fitted.enclosing is not None:
+            break
+    sections = {"circle": outline} if isinstance(outline, float) else {"outline": outline}
+    away = rng.uniform(-math.pi, math.pi, 2)
+    at = PLACES[1] * np.array([math.cos(away[0]), math.sin(away[0])])
+    to = at + rng.uniform(*PLACES) * np.array([math.cos(away[1]), math.sin(away[1])])
+    thing: dict[str, Any] = {
+        "mass": round(share * stated, 4),
+        "at": [*_rounded(at), 0.0],
+        "yaw_deg": round(float(rng.uniform(0.0, 360.0)), 1),
+    }
+    if rests:
+        rim = {**sections, "at": values["height"]}
+        thing |= {"circle": values["stem"], "to": round(values["height"] + 0.05, 3), "rim": rim}
+    else:
+        thing |= {**sections, "to": values["height"]}
+    around = fitted.enclosing.vertices * float(rng.uniform(1.0, 1.2))
+    cable = {"cable_length": fitted.holding.cable_length, "tension": values["tension"]}
+    cable |= {"cable_density": values["cable_density"]}
+    cable |= {} if rests else {"cable_friction": fitted.holding.task.clasp_friction}
+    turn = round(float(rng.uniform(-90.0, 90.0)), 1)
+    carry = {"object": "thing", "to": [*_rounded(to), 0.0], "yaw_deg": turn}
+    return {
+        "title": f"Fitted carry, n = {n}, seed {seed}",
+        "team": {"robots": n, **cable},
+        "limits": LIMITS,
+        "objects": {"thing": thing},
+        "start": {"hitch": {"polygon": np.round(around, 3).tolist(), "altitude": CARRY_ALTITUDE}},
+        "mission": [{"transport_object": carry}],
+    }
+
+
+def _fitted_outline(rng: np.random.Generator, *, rests: bool) -> float | list[list[float]]:
+    """Return a radius, or corners of a rectangle or of a triangle that is to be gripped, [m]."""
+    half = float(rng.uniform(*HALF_WIDTH))
+    kind = rng.random()
+    if kind < 0.5:
+        return round(half, 3)
+    if rests or kind < 0.85:
+        a, b = round(half, 3), round(half * float(rng.uniform(*ASPECT)), 3)
+        return [[-a, -b], [-a, b], [a, b], [a, -b]]
+    angles = rng.uniform(0.0, math.pi) - 2.0 * math.pi * np.arange(3) / 3.0
+    corners = half * np.column_stack([np.cos(angles), np.sin(angles)])
+    return [_rounded(corner) for corner in corners - np.mean(corners, axis=0)]
 
 
 def wild_pair(seed: int, *, heavy: bool = False) -> dict[str, Any]:
@@ -639,6 +760,8 @@ FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "form": wild_form,
     "scattered_form": scattered_form,
     "carry": wild_carry,
+    "fitted": fitted_carry,
+    "overloaded": partial(fitted_carry, overloaded=True),
     "morph": wild_pair,
     "heavy_morph": partial(wild_pair, heavy=True),
     "past_post": past_post,

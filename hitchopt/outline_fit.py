@@ -25,37 +25,46 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch.holding import SUGGESTIONS, Capacity, Grip, grip_capacity
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm, Team
+from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
-from hitchopt.planners.carrying.capacity import RimHold, best_rim_hold
+from hitchopt.planners.carrying.grasps import (
+    Heaviest,
+    HoldJudge,
+    hold_polygons,
+    on_pillar,
+    shortest_judge,
+)
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import tying_tension
-from hitchopt.planners.carrying.polygons import (
-    EDGE_MARGIN,
-    GripTask,
-    HoldPolygons,
-    best_grip,
-    rest_polygons,
-)
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, best_grip
 from hitchopt.planners.carrying.straddle_planner import find_straddle
-from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
 from hitchopt.steps.straddling import Tie, needed_height
 from hitchopt.values import integer, points, positive, sequence
 from hitchopt.values.fields import Key, Record, suggest_keywords, with_fields
-from hitchopt.values.units import CABLE_LENGTH, DISTANCE, FRICTION, LENGTH, TENSION
+from hitchopt.values.units import (
+    CABLE_LENGTH,
+    DENSITY,
+    DISTANCE,
+    FRICTION,
+    LENGTH,
+    OBJECT_MASS,
+    TENSION,
+)
 
 GRIP = "grip"  # Method of holding an object by cables that are wrapped around it
 REST = "rest"  # Method of holding an object whose rim lies on the clasps
+OBJECT = "object"  # Name of the object
 SAFETY = 1.5  # Smallest ratio of slip load to load
 MAX_ROBOTS = 24  # Limited by memory for pairs of parts of a grip
 TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
 TIED_STEP = 0.2  # Step of the lengths of two cables [m]
 TIED_STEPS = 15  # Number of lengths of two cables that are tried
-TIED_DENSITY = 0.005  # Density of two cables, which are not tied without weight [kg/m]
 
-CIRCLE_ANGLES = np.pi * np.arange(48) / 24.0
-CIRCLE = np.column_stack([np.cos(CIRCLE_ANGLES), -np.sin(CIRCLE_ANGLES)]) / np.cos(np.pi / 48.0)
-"""Polygon around the unit circle (48, 2), clockwise, at most 0.2 % larger."""
+CENTRED = 1e-9  # Distance of a centroid from the origin that is rounding [m]
+CIRCLE_ANGLES = np.pi * np.arange(24) / 12.0
+CIRCLE = np.column_stack([np.cos(CIRCLE_ANGLES), -np.sin(CIRCLE_ANGLES)]) / np.cos(np.pi / 24.0)
+"""Polygon around the unit circle (24, 2), clockwise, at most 0.9 % larger."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,14 +105,23 @@ class FitTask(Record):
         float | None,
         Key(
             CABLE_LENGTH,
-            "Length of all cables; null: for each number of robots the shortest that keeps drones "
-            "apart around the object",
+            "Length of all cables; null: for each number of robots the shortest that keep drones "
+            "apart around the object and carry it",
         ),
     ] = None
     clasp_friction: Annotated[
         float,
         Key(FRICTION, "Friction between cables, which reduces the mass that is gripped"),
     ] = 0.15
+    cable_density: Annotated[float, Key(DENSITY, "Mass of cables per length")] = 0.005
+    mass: Annotated[
+        float | None,
+        Key(
+            OBJECT_MASS,
+            "Mass for which cables are chosen; null: half of what the tension of a regular polygon "
+            "bears",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +132,8 @@ class Holding(OneLine):
     ----------
     task: the request.
     robots: number of cables.
-    enclosing: the polygon that is lowered around the object, as far from it as ``enclose`` keeps;
-        None for two cables, which are tied around it.
+    enclosing: the polygon that ``enclose`` lowers around the object, by grip, or with a stem by
+        rest, if that holds it; None for two cables, which are tied around it.
     cable_length: of all cables [m].
     grip: the grip with the largest slip load, or the error if there is none.
     rest: the polygon on which the outline rests as a rim, or the error if there is none.
@@ -191,6 +209,8 @@ def fit(
     tension: float | None = None,
     cable_length: float | None = None,
     clasp_friction: float = FitTask.clasp_friction,
+    cable_density: float = FitTask.cable_density,
+    mass: float | None = None,
     quadrotor: Quadrotor | str | None = None,
     limits: Limits | None = None,
     separation: Separation | None = None,
@@ -209,8 +229,11 @@ def fit(
     height: of the object [m], its centre of mass at half of it.
     friction: coefficient between cables and object.
     tension: of all cables [N]; None for the largest horizontal pull that tilt and thrust allow.
-    cable_length: [m]; None for the shortest that keeps drones apart around the object.
+    cable_length: [m]; None for the shortest that keep drones apart around the object and carry it.
     clasp_friction: coefficient between cables, which reduces the mass that is gripped.
+    cable_density: of the cables [kg/m].
+    mass: for which cables are chosen [kg]; None for half of what the tension of a regular polygon
+        bears.
     quadrotor: kind or name of a model; limits, separation: the default ones if None.
     compared: other numbers of robots whose largest masses are reported.
 
@@ -244,6 +267,8 @@ def fit(
         tension=tension,
         cable_length=cable_length,
         clasp_friction=clasp_friction,
+        cable_density=cable_density,
+        mass=mass,
     )
     numbers = sorted({robots, *compared})
     holding = _tied(task) if robots == 2 else _holding(task, robots)
@@ -280,51 +305,114 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
     return Section(hull), [*notes, note]
 
 
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """What a judge of one method found."""
+
+    judge: HoldJudge
+    heaviest: Heaviest
+
+    @property
+    def cable_length(self) -> float:
+        """Length of all cables [m]."""
+        return float(self.judge.team.cable_length[0])
+
+
 def _holding(task: FitTask, robots: int) -> Holding:
-    """Return the polygons for a number of robots; InfeasibleError if none encloses the object."""
+    """Return the polygons for a number of robots; InfeasibleError if none encloses the object.
+
+    Cables without a stated length are those of the grip, or of the rest of an object with a stem.
+    """
+    preferred, other = (HoldBy.GRIP, HoldBy.REST)[:: 1 if task.stem is None else -1]
+    first = _attempt(partial(_held, task, robots, preferred, task.cable_length))
+    cable = first.cable_length if isinstance(first, _Held) else task.cable_length
+    second = _attempt(partial(_held, task, robots, other, cable))
+    by_method = {preferred: first, other: second}
+    found = [held for held in (first, second) if isinstance(held, _Held)]
+    if not found:
+        raise first
+    grip, rest = by_method[HoldBy.GRIP], by_method[HoldBy.REST]
+    capacities = (
+        held.heaviest.capacity if isinstance(held, _Held) else _zero_capacity(held)
+        for held in (grip, rest)
+    )
+    return Holding(
+        task,
+        robots,
+        ConvexPolygon(found[0].judge.planner.state.polygons.around),
+        found[0].cable_length,
+        _grip_of(task, grip) if isinstance(grip, _Held) else grip,
+        _rest_of(rest) if isinstance(rest, _Held) else rest,
+        *capacities,
+    )
+
+
+def _held(task: FitTask, robots: int, by: HoldBy, cable_length: float | None) -> _Held:
+    """Return what a method holds, with the shortest cables that carry the mass if none is stated.
+
+    InfeasibleError: no polygon encloses and holds the object, or cables do not fit around it.
+    """
+    requirements = replace(task.requirements, objects=_objects(task, by))
+    team = Team(
+        robots,
+        1.0 if cable_length is None else cable_length,
+        cable_density=task.cable_density,
+        cable_friction=task.clasp_friction,
+        tension=task.tension,
+        quadrotor=task.kind,
+    )
     gap = task.clearance + EDGE_MARGIN
-    enclosing = enclosing_polygon(task.section, robots, gap)
-    cable = task.cable_length or shortest_cable([enclosing], task.requirements)
-    max_edge = cable - 2.0 * task.requirements.limits.leg
-    k = int(np.argmax(enclosing.edge_lengths))
-    longest = float(enclosing.edge_lengths[k])
+    if cable_length is None:
+        judge = shortest_judge(OBJECT, team, requirements, by, gap, task.mass)
+    else:
+        polygons = hold_polygons(OBJECT, team, requirements, by, gap)
+        _require_length(ConvexPolygon(polygons.around), cable_length, requirements)
+        judge = HoldJudge.of(OBJECT, team, requirements, polygons)
+    return _Held(judge, judge.heaviest)
+
+
+def _require_length(around: ConvexPolygon, cable: float, requirements: Requirements) -> None:
+    """Raise InfeasibleError if cables of a length [m] are too short for the polygon around."""
+    max_edge = cable - 2.0 * requirements.limits.leg
+    k = int(np.argmax(around.edge_lengths))
+    longest = float(around.edge_lengths[k])
     if longest > max_edge:
         needed = rounded_up(longest + cable - max_edge, 3)
         remedy = f"use cables of {needed:.3g} m or more, or more robots"
         violation = Violation("legs", longest, max_edge, "max", "m", (f"edge {k}",), "", remedy)
         raise InfeasibleError([violation], "the enclosing polygon does not fit the cables")
-    friction, requirements = task.clasp_friction, task.requirements
-    request = GripTask(task.section, robots, cable, task.tension, friction, requirements, task.kind)
-
-    def grip() -> tuple[Grip, float]:
-        if task.cable_length is None:
-            return grip_and_cable(request, task.clearance)
-        return best_grip(request), cable
-
-    gripping = _attempt(grip)
-    resting = _attempt(lambda: rest_polygons("outline", _with_rim(task), robots, gap)[0])
-    gripped = gripping
-    rested = rest = resting
-    if not isinstance(gripping, InfeasibleError):
-        gripping, cable = gripping
-        gripped = grip_capacity(gripping, task.kind, task.friction, SAFETY)
-    if isinstance(resting, HoldPolygons):
-        load = cable, task.tension, task.kind, requirements
-        rested = _attempt(lambda: best_rim_hold(_with_rim(task), resting, *load))
-        rest = ConvexPolygon(resting.clasps)
-        if isinstance(rested, RimHold):
-            rest = ConvexPolygon(rested.clasps)
-            rested = rested.capacity
-    capacities = (x if isinstance(x, Capacity) else _zero_capacity(x) for x in (gripped, rested))
-    return Holding(task, robots, enclosing, cable, gripping, rest, *capacities)
 
 
-def _with_rim(task: FitTask) -> SolidObject:
-    """Return the object with its outline as a rim, above a stem or as a flat tray."""
+def _grip_of(task: FitTask, held: _Held) -> Grip:
+    """Return the grip of a judge."""
+    clasps = held.judge.planner.state.polygons.clasps
+    return Grip.of(task.section, clasps, held.cable_length, task.tension, task.clasp_friction)
+
+
+def _rest_of(held: _Held) -> ConvexPolygon:
+    """Return the clasps below the rim that hold most."""
+    hold = held.heaviest.hold
+    clasps = held.judge.planner.state.polygons.clasps if hold is None else hold.polygon
+    return ConvexPolygon(clasps)
+
+
+def _objects(task: FitTask, by: HoldBy) -> dict[str, SolidObject]:
+    """Return the object to be held: to rest with its outline as a rim, above a stem or as a tray.
+
+    A flat tray stands on a slim pillar.
+    """
+    friction = task.friction
+    if by is HoldBy.GRIP:
+        return {OBJECT: SolidObject(task.section, 0.0, task.height, friction=friction)}
     if task.stem is None:
-        return SolidObject(task.section, 0.0, task.height, rim=Rim(task.section, 0.0))
-    stem = Section(task.section.centroid + task.stem * CIRCLE)
-    return SolidObject(stem, 0.0, task.height, rim=Rim(task.section, task.height))
+        rim = Rim(task.section, 0.0)
+        tray = SolidObject(task.section, 0.0, task.height, friction=friction, rim=rim)
+        return on_pillar(OBJECT, tray)
+    centre = task.section.centroid
+    is_centred = bool(np.all(np.abs(centre) < CENTRED))
+    stem = Section(radius=task.stem) if is_centred else Section(centre + task.stem * CIRCLE)
+    rim = Rim(task.section, task.height)
+    return {OBJECT: SolidObject(stem, 0.0, task.height, friction=friction, rim=rim)}
 
 
 def _tied_at(task: FitTask) -> float:
@@ -355,7 +443,7 @@ def _tied(task: FitTask) -> Holding:
     def tied(cable: float) -> Holding:
         """Return the grip of cables of a length [m]."""
         kind, T, friction = task.kind, task.tension, task.clasp_friction
-        team = Team(2, cable, cable_density=TIED_DENSITY, tension=T, quadrotor=kind)
+        team = Team(2, cable, cable_density=task.cable_density, tension=T, quadrotor=kind)
         team = with_fields(team, cable_friction=friction)
         request = GripTask(task.section, 2, cable, T, friction, requirements, kind)
         grip = best_grip(request)

@@ -10,20 +10,15 @@ b_{k-1}`` and ``r̂_{k-1} = -a_k``. Arrays may have any leading axes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.drones.quadrotor import GRAVITY, Quadrotor
-from hitchopt.errors import InfeasibleError, OneLine
-from hitchopt.geometry import Outline
+from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import cross, dot, first_smallest, left_of, length, turn, unit
-from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import balanced_legs
-from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.objects import Section
 from hitchopt.values import Array, Indices
 
@@ -451,15 +446,6 @@ def residual_grip(legs: Array, tension: Array, clasp_friction: float, friction: 
 
 # Capacities: the largest masses that hitches hold.
 
-MASS_RESOLUTION = 1e-7
-"""[kg] Resolution of masses."""
-
-LIMIT_TOLERANCE = 1e-9
-"""Relative tolerance of limits, as in the certificate."""
-
-MAX_LOAD_ACCELERATION = 1.0
-"""[m/s²] Largest acceleration of loads."""
-
 SUGGESTIONS = {
     "grip": "raise the tension, or use rougher cables",
     "tilt": "raise limits.tilt_deg",
@@ -493,71 +479,6 @@ class Capacity(OneLine):
         if self.mass == 0.0 and self.binding not in SUGGESTIONS:
             return "use a different number of robots, or cables of a different length"
         return SUGGESTIONS.get(self.binding, "use longer cables")
-
-
-def rest_capacity(
-    polygon: Outline,
-    cable_length: float,
-    tension: float,
-    kind: Quadrotor,
-    requirements: Requirements,
-    height: float,
-) -> Capacity:
-    """Return the largest mass [kg] that rests on a polygon's edges within all limits.
-
-    The centre of mass is ``height`` [m] above the centroid of the polygon. All cables have the same
-    length [m] and tension [N].
-    """
-    n = len(polygon)
-    limits = requirements.limits
-    offsets = polygon.vertices - polygon.centroid
-    inradius = float(np.min(cross(polygon.edge_directions, offsets)))
-    shift_of_force_line = height * MAX_LOAD_ACCELERATION / GRAVITY
-    support = inradius - shift_of_force_line
-    unloaded = Team(n, cable_length, tension=tension, quadrotor=kind)
-    spread = LegTask(
-        unloaded,
-        requirements,
-        polygon.vertices[None],
-        balanced_legs(unloaded, polygon)[None],
-        limits.leg,
-        SPREAD_MARGIN,
-    )
-    legs = spread.split().q_legs
-
-    def smallest_margin(mass: float) -> tuple[float, str]:
-        """Return the smallest margin for a mass [kg], and the name of its limit."""
-        team = Team(n, cable_length, tension=tension, quadrotor=kind, load=mass / n)
-        try:
-            hitch = Hitch(team, polygon, 1.0, legs[0])
-            thrusts = -hitch.cable_forces + [0.0, 0.0, GRAVITY * kind.mass]
-        except InfeasibleError as error:  # the limit that binds is what is asked
-            return -1.0, error.violations[0].constraint
-        tilt = np.arctan2(length(thrusts[:, :2]), thrusts[:, 2])
-        task = replace(spread, team=team, reference=legs, margin=LIMIT_MARGIN)
-        margins = {
-            "thrust": 1.0 - float(np.max(length(thrusts))) / kind.max_thrust,
-            "tilt": 1.0 - float(np.max(tilt)) / limits.tilt,
-            "legs": float(np.min(hitch.legs)) / limits.leg - 1.0,
-            "separation": task.reference_margin() - 1.0,
-            "support": support,
-        }
-        return min((margin, name) for name, margin in margins.items())
-
-    margin, binding = smallest_margin(0.0)
-    if margin < -LIMIT_TOLERANCE:
-        return Capacity(0.0, binding)
-    feasible = 0.0
-    infeasible = 2.5 * n * tension / GRAVITY  # more than vertical legs could bear
-    while infeasible - feasible > MASS_RESOLUTION:
-        mass = 0.5 * (feasible + infeasible)
-        margin, limit = smallest_margin(mass)
-        if margin >= -LIMIT_TOLERANCE:
-            feasible = mass
-        else:
-            infeasible = mass
-            binding = limit
-    return Capacity(feasible, binding)
 
 
 def grip_capacity(grip: Grip, kind: Quadrotor, friction: float, factor: float) -> Capacity:

@@ -49,13 +49,10 @@ from hitchopt.mission.changes import (
 )
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED, solve_problem
-from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, rest_polygons
-from hitchopt.planners.fitting import (
-    enclosing_polygon,
-    grip_and_cable,
-    separating_cables,
-    shortest_cable,
-)
+from hitchopt.motion.motion import HoldBy
+from hitchopt.planners.carrying.grasps import shortest_judge
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN
+from hitchopt.planners.fitting import separating_cables
 from hitchopt.planners.routes import BEST_ROUTE
 from hitchopt.steps.step import Knob
 
@@ -524,18 +521,18 @@ def _outlines_between(first: Outline, last: Outline) -> list[Outline]:
 
 
 def _cables_around(problem: Problem, name: str) -> tuple[list[Outline], list[float]]:
-    """Return outlines around an object that rests on cables, or lengths [m] that grip it."""
+    """Return lengths [m] of cables that carry an object, or outlines to rest on if none does."""
     mission, team, body = problem.teams[""], problem.team, problem.objects[name]
-    requirements, n = mission.requirements.with_reserve, team.robots
+    requirements = mission.requirements.with_reserve
     gap = requirements.separation.object + EDGE_MARGIN
     try:
         if body.rim is not None:
-            polygons, *_ = rest_polygons(name, body, n, gap)
-            centred = (polygons.around, polygons.clasps)
-            return [ConvexPolygon(each) for each in centred], []
-        kind, section, tension = team.quadrotor[0], body.section, float(np.min(team.tension))
-        cable = shortest_cable([enclosing_polygon(section, n, gap)], requirements)
-        task = GripTask(section, n, cable, tension, team.cable_friction, requirements, kind)
-        return [], [grip_and_cable(task, requirements.separation.object)[1]]
+            judge = shortest_judge(name, team, requirements, HoldBy.REST, gap, body.mass)
+            if judge.carries(body.mass):
+                return [], [float(judge.team.cable_length[0])]
+            polygons = judge.planner.state.polygons
+            return [ConvexPolygon(each) for each in (polygons.around, polygons.clasps)], []
+        judge = shortest_judge(name, team, requirements, HoldBy.GRIP, gap, body.mass)
+        return [], [float(judge.team.cable_length[0])]
     except HitchoptError:  # nothing is known of the object's polygons
         return [], []

@@ -2,10 +2,9 @@
 
 A planner yields its candidates. ``first_certified`` tries them, and is the only place that catches
 InfeasibleError to try something else. What a planner asks on the way is a query that returns None,
-or a violation, such as ``shape_violation``. The error itself is the answer of four queries: of
-forces without a balance (``if_balanced``; how much a move must be slowed), of the largest mass on a
-rim (``rest_capacity``), of what other numbers of robots hold (``fit``), and of how candidates rank
-(``error_of``). ``violations_at`` only adds the time to an error.
+or a violation, such as ``shape_violation``. The error itself is the answer of two queries: of
+forces without a balance (``if_balanced``; how much a move must be slowed), of how candidates rank
+and what they could do (``error_of``). ``violations_at`` only adds the time to an error.
 
 The search within one candidate, such as that of the optimiser, has an effort of its own.
 """

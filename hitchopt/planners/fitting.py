@@ -19,19 +19,10 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import dot, left_of, length, turn, unit
 from hitchopt.hitch.forces import cable_slack_of, if_balanced
-from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Section
-from hitchopt.planners.candidates import Candidate, first_feasible
-from hitchopt.planners.carrying.polygons import (
-    EDGE_MARGIN,
-    GRIP_STRETCHES,
-    GripTask,
-    HoldPolygons,
-    best_grip,
-)
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
@@ -163,14 +154,17 @@ def _are_well_shaped(edges: Array, directions: Array) -> NDArray[np.bool_]:
     return np.asarray(turns_once & has_corners & has_edges & keeps_directions)
 
 
-def shortest_cable(polygons: Sequence[Outline], requirements: Requirements) -> float:
+def shortest_cable(
+    polygons: Sequence[Outline], requirements: Requirements, team: Team | None = None
+) -> float:
     """Return the shortest cable length [m], in centimetres, with well separated balanced legs.
 
     They are separated on all polygons, of the same number of robots. If there is no such length,
-    return the one with the largest margin over all slack splits. Cables have no weight, and drones
-    carry no load. InfeasibleError: no length up to MAX_EXTRA_LENGTH keeps drones separated.
+    return the one with the largest margin over all slack splits. Cables have the weight and tension
+    of the ``team``, none without one, and carry no load. InfeasibleError: no length up to
+    MAX_EXTRA_LENGTH keeps drones separated.
     """
-    team = Team(len(polygons[0]), 1.0)
+    team = Team(len(polygons[0]), 1.0) if team is None else team
     for balanced in (True, False):
         best = CableMargin(cable_length=0.0, margin=0.0)
         for candidate in _cable_margins(polygons, requirements, team, balanced=balanced):
@@ -322,26 +316,3 @@ def _margin(
         return min(single.split().margin for single in singles)
 
     return min(if_balanced(smallest_margin, -1.0), SPREAD_MARGIN)
-
-
-def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:
-    """Return the grip with the largest slip load, and its cable length [m].
-
-    It is that of the task, or longer if the polygon needs it that encloses the section with a
-    ``clearance`` [m] before the grip closes. InfeasibleError: the search failed.
-    """
-    grip = best_grip(task)
-    # ``enclose`` adds a margin for errors of the object's pose around the closed grip
-    gap = clearance + EDGE_MARGIN
-    centre = task.section.centroid
-    polygons = HoldPolygons.about(grip.vertices, centre, (task.section,), gap, GRIP_STRETCHES)
-
-    def enclosing() -> tuple[Grip, float]:
-        """Return the grip with the cable that encloses, if that is longer."""
-        needed = shortest_cable([ConvexPolygon(polygons.around)], task.requirements)
-        if needed > task.cable_length:
-            return best_grip(replace(task, cable_length=needed)), needed
-        return grip, task.cable_length
-
-    # The shorter cable grips, but may not enclose
-    return first_feasible([Candidate("longer cable", enclosing)], (grip, task.cable_length))

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -25,24 +24,14 @@ from hitchopt.objects.placing import (
     stacked_on,
     surface_below,
 )
-from hitchopt.planners.candidates import Candidate, error_of, first_certified
+from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.detours import CarrySearch
-from hitchopt.planners.carrying.grasps import (
-    RESERVES,
-    ROLL_RESERVE,
-    hold_error,
-    require_hold,
-    reserve_of,
-    wider_for_closing,
-)
-from hitchopt.planners.carrying.hold_search import HoldSearch
-from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
+from hitchopt.planners.carrying.grasps import Closing, HoldJudge, altitude_around
+from hitchopt.planners.carrying.holds import GripHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
-    BELOW_RIM,
     LIFT_SPEED,
     GraspState,
-    MovePlanner,
     check_opens,
     check_pull,
     one_phase,
@@ -53,7 +42,7 @@ from hitchopt.planners.carrying.polygons import (
     grip_polygons,
     rest_polygons,
 )
-from hitchopt.planners.ends import RolledLegs, end_of_morph
+from hitchopt.planners.ends import RolledLegs
 from hitchopt.planners.routes import OBSTACLE_CHECKS
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.moving import Morph, Transport
@@ -229,9 +218,7 @@ class Enclose(Step):
         requirements = task.requirements
         hitch = task.hitch
         clearance = requirements.separation.object
-        altitude = float(body.at[2] + body.centre_of_mass[2])
-        if body.rim is not None:
-            altitude = float(body.at[2]) + body.rim.height - (clearance + BELOW_RIM)
+        altitude = altitude_around(body, requirements.separation)
         height = altitude - requirements.floor
         if height < clearance - CONTACT_GAP:
             name = f"objects.{self.object}"
@@ -363,9 +350,6 @@ def _nearest_turn(polygon: Array, goal: Array) -> float:
     return float(np.angle(max(products, key=abs)))
 
 
-EVEN_SPLITS = (0.3, 0.35, 0.65, 0.7)
-"""Slack splits of all cables of a hold below a rim that are tried before a search over all."""
-
 HoldMethod = Literal["rest", "grip"]  # Method of holding an object
 
 BY = words("rest", "grip")
@@ -378,6 +362,11 @@ HoldTension = Annotated[
 
 BALANCE_CHECKS = frozenset({"equilibrium", "keep_out"})
 """Checks that a higher or a lower tension may satisfy."""
+
+
+def hold_judge(task: StepTask, tension: Array) -> HoldJudge:
+    """Return the judge of holds of the enclosed object, with tensions (n,) [N]."""
+    return HoldJudge(planner_of(task).from_state(tension=tension), task.hitch)
 
 
 class TensionStep(Step):
@@ -424,18 +413,16 @@ class Grasp(TensionStep):
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
             raise RequestError(key, None, bound, "add a rim, or grasp it by: grip")
-        height = body.rim.height
-        requirements = requirements_near(task, self.object)
-        with_margin = replace(requirements, separation=wider_for_closing(requirements.separation))
-        closing_task = task.within(requirements, task.before)
+        judge = hold_judge(task, tension)
+        closing_task = task.within(requirements_near(task, self.object), task.before)
 
-        def held(planner: MovePlanner, closing: tuple[RestHold, ...]) -> StepPlan:
+        def held(closing: Closing, reserve: float) -> StepPlan:
             """Return the plan that closes the hitch below the rim and rises to it."""
+            planner = judge.with_hold(closing[-1])
             moves = [
                 *planner.retension(team.tension, tension),
                 planner.rim_move(planner.gap, 0.0),
             ]
-            require_hold(task, planner)
             hitches = [hold.hitch(body, planner.gap) for hold in closing]
             ends = [(each.polygon, RolledLegs(each.q_legs, each.roll)) for each in hitches]
             morphs = [Morph(*end).plan for end in ends]
@@ -445,72 +432,22 @@ class Grasp(TensionStep):
             motion = step_motion(self, task, parts, rising.phases[0].hold)
             if np.any(planner.hold.roll):  # drones and cables sink toward the ground
                 require_certified(StepPlan(motion, task.before))
-            return plan_to(task, planner.state, motion, body.place)
+            plan = plan_to(task, planner.state, motion, body.place)
+            return plan.with_remark(judge.remark_on(reserve))
 
-        def closings() -> Iterator[tuple[RestHold, ...]]:
-            """Yield the hitches below the rim through which it closes, the last of which hold it.
-
-            Those of the rim's polygons come first, then these with EVEN_SPLITS. Holds that are
-            found from them have other legs, which change around the object.
-            """
-            polygons, gap = task.grasp.polygons, planner_of(task).gap
-            holds = list[RestHold]()
-            for clasps in polygons.below_rim:
-                goal = end_of_morph(task.hitch, polygon_at(body, clasps), None, with_margin).hitch
-                roll = ROLL_RESERVE * goal.roll
-                holds.append(RestHold(team, body, clasps, height, goal.fractions, roll))
-                yield (holds[-1],)
-            for start, split in product(holds, EVEN_SPLITS):
-                yield (replace(start, fractions=np.full(team.robots, split)),)
-            for start in holds:
-                search = HoldSearch(start, polygons.around, tension, with_margin, gap)
-                for hold in search.holds():
-                    yield replace(hold, polygon=polygons.around), hold
-
-        def holds() -> Iterator[Candidate[StepPlan]]:
-            """Yield the plans of all holds: those without a full reserve last, by reserves."""
-            slower = list[tuple[float, Candidate[StepPlan]]]()
-            for closing in closings():
-                planner = planner_of(task).from_state(tension=tension, hold=closing[-1])
-                explained = partial(hold_error, task, planner)
-                candidate = Candidate("hold", partial(held, planner, closing), explained=explained)
-                is_held = error_of(partial(require_hold, task, planner)) is None
-                reserve = reserve_of(planner) if is_held else RESERVES[0]
-                if reserve == RESERVES[0]:
-                    yield candidate
-                else:
-                    slower.append((reserve, candidate))
-            slower.sort(key=lambda rated: -rated[0])
-            yield from (candidate for _, candidate in slower)
-
-        return first_certified(holds(), task.effort, task.progress)
+        return first_certified(judge.candidates(held), task.effort, task.progress)
 
     def _grip(self, task: StepTask, body: SolidObject, tension: Array) -> StepPlan:
         """Plan how cables grip the object with tensions (n,) [N]."""
         team = task.before.team
-        polygons = task.grasp.polygons
         if body.rim is not None:
             key = f"mission[{task.index}].{self.name}.by"
             bound = "rest if the hitch is below the object's rim"
             raise RequestError(key, "grip", bound, "omit the rim")
         check_pull(float(np.max(tension)), team, task.requirements)
-        hold = GripHold(
-            team,
-            body,
-            polygons.clasps,
-            height=float(body.centre_of_mass[2]),
-            fractions=np.full(team.robots, 0.5),
-            roll=np.zeros(team.robots),
-            around=polygons.around,
-            open_fractions=task.hitch.fractions,
-        )
-        planner = planner_of(task).from_state(tension=tension, hold=hold)
-        held = Candidate(
-            "hold",
-            partial(require_hold, task, planner),
-            explained=partial(hold_error, task, planner),
-        )
-        first_certified([held], task.effort, task.progress)
+        judge = hold_judge(task, tension)
+        grips = judge.candidates(lambda closing, _: judge.with_hold(closing[-1]))
+        planner = first_certified(grips, task.effort, task.progress)
         motion = self.with_duration(task, planner.close_grip(team.tension, self.name))
         return plan_to(task, planner.state, motion, body.place)
 

@@ -9,15 +9,19 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.motion.loads import RIM_CUT
+from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim, Section
 from hitchopt.outline_fit import fit
-from hitchopt.planners.carrying.capacity import CUT_RESOLUTION, best_rim_hold, team_for_rim
+from hitchopt.planners.carrying.grasps import (
+    MASS_RESOLUTION,
+    HoldJudge,
+    hold_polygons,
+    team_for_rim,
+)
 from hitchopt.planners.carrying.holds import RestHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw
-from hitchopt.planners.carrying.polygons import EDGE_MARGIN, rest_polygons
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN
 from hitchopt.values import Array
-from problems.random_morph import is_certified
 
 GAP = 0.035 + EDGE_MARGIN
 LIMITS = Limits(tilt=np.radians(60.0))
@@ -56,23 +60,46 @@ def highest_at_rim(body: ho.SolidObject, clasps: Array, cable: float, tension: f
     return highest
 
 
-def test_the_capacity_is_where_sampled_legs_cut_the_rim() -> None:
-    cable, tension = 1.37, 1.0
-    polygons = rest_polygons("thing", oblong(0.2), 5, GAP)[0]
-    load = polygons, cable, tension, ho.Quadrotor(), Requirements(LIMITS)
-    clasps, capacity = best_rim_hold(oblong(0.2), *load)
-    assert capacity.binding == "object_clearance"
-    lighter, heavier = capacity.mass - CUT_RESOLUTION, capacity.mass + 2.0 * CUT_RESOLUTION
-    assert highest_at_rim(oblong(lighter), clasps, cable, tension) <= RIM_CUT
-    assert highest_at_rim(oblong(heavier), clasps, cable, tension) > RIM_CUT
+def search(robots: int, mass: float, cable: float) -> HoldJudge:
+    """The search for holds of the oblong by its rim, at a tension of 1 N."""
+    requirements = Requirements(LIMITS, objects={"thing": oblong(mass)})
+    team = ho.Team(robots, cable, tension=1.0)
+    polygons = hold_polygons("thing", team, requirements, HoldBy.REST, GAP)
+    return HoldJudge.of("thing", team, requirements, polygons)
 
 
-def test_fit_counts_legs_that_cut_the_rim() -> None:
-    held = fit(rectangle((0.19, 0.26)), 5, stem=0.1, height=0.35, tension=1.0, limits=LIMITS)
-    capacities = held.capacities("rest")
-    assert capacities[5].binding == "object_clearance"
-    assert "number of robots" in capacities[5].suggested
-    assert capacities[4].mass > capacities[5].mass
+def test_the_heaviest_object_is_held_and_no_heavier_one() -> None:
+    searched = search(4, 0.2, 1.4)
+    mass = searched.heaviest.capacity.mass
+    hold = searched.heaviest.hold
+    assert hold is not None
+    assert searched.with_mass(mass).violation(hold) is None
+    assert not searched.carries((1.0 + 2.0 * MASS_RESOLUTION) * mass)
+
+
+@pytest.mark.slow
+def test_fit_counts_weight_cables_and_drones_beside_the_object() -> None:
+    """What it states is what the search around that object holds, with its cables."""
+    size: dict[str, Any] = {
+        "stem": 0.061,
+        "height": 0.38,
+        "tension": 1.11,
+        "limits": LIMITS,
+        "compared": (),
+    }
+    holding = fit(0.23, 5, **size).holding
+    stated = holding.rest_capacity.mass
+    body = ho.SolidObject(
+        Section(radius=0.061), 0.0, 0.43, mass=stated, rim=Rim(Section(radius=0.23), 0.38)
+    )
+    requirements = Requirements(LIMITS, objects={"thing": body})
+    team = ho.Team(5, holding.cable_length, tension=1.11, cable_density=0.003)
+    polygons = hold_polygons("thing", team, requirements, HoldBy.REST, GAP)
+    searched = HoldJudge.of("thing", team, requirements, polygons)
+    assert searched.with_mass(0.95 * stated).heaviest.capacity.mass >= stated
+    assert searched.heaviest.capacity.mass < 1.05 * stated
+    heavier = fit(0.23, 5, mass=1.1 * stated, **size).holding
+    assert heavier.cable_length > holding.cable_length
 
 
 def mission(robots: int, mass: float, cable: float) -> dict[str, Any]:
@@ -119,21 +146,12 @@ def test_the_number_of_robots_that_a_refusal_names_holds_the_object() -> None:
 
 
 def test_another_team_is_named_with_cables_that_it_needs() -> None:
-    requirements = Requirements(LIMITS)
-    rest = 1.0, ho.Quadrotor(), requirements, GAP
-    assert team_for_rim(5, oblong(0.19), 1.4, *rest) == (4, 1.4)
-    other = team_for_rim(5, oblong(0.19), 0.7, *rest)
+    other = team_for_rim(search(5, 0.19, 1.4))
     assert other is not None
     assert other.robots == 4
-    around = rest_polygons("thing", oblong(0.19), 4, GAP)[0].around.tolist()
-    start = {"hitch": {"polygon": around, "altitude": 1.0, "legs": "spread"}}
-    certified = [
-        is_certified({"robots": 4, "cable_length": length, "tension": 1.0}, start)
-        for length in (0.7, other.cable_length)
-    ]
-    assert certified == [False, True]
+    longer = float(other.cable_length[0])
+    assert search(4, 0.19, longer).carries(0.19)
 
 
 def test_no_team_is_named_for_what_none_holds() -> None:
-    requirements = Requirements(LIMITS)
-    assert team_for_rim(5, oblong(5.0), 1.4, 1.0, ho.Quadrotor(), requirements, GAP) is None
+    assert team_for_rim(search(5, 5.0, 1.4)) is None

@@ -15,10 +15,9 @@ from scipy.spatial.distance import pdist
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.hitch.holding import Grip
+from hitchopt.hitch.holding import Capacity, Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.statics.files import save_fit
-from hitchopt.outline_fit import Holding
 from hitchopt.planners.fitting import (
     enclosing_polygon,
     fitting_lengths,
@@ -130,25 +129,16 @@ def test_lengths_and_tensions_that_fit_keep_all_distances(n: int) -> None:
             assert weakest == 0.0
 
 
-def test_resting_loads_are_limited_by_clasps_thrust_and_support() -> None:
-    """At 1 m/s² the line of force through half of the height leans by 1/g."""
+def test_resting_loads_are_limited_by_clasps_and_thrust() -> None:
 
-    def holding_with(max_thrust: float = 5.0, height: float = 0.3) -> Holding:
+    def capacity(max_thrust: float) -> Capacity:
         kind = ho.Quadrotor(max_thrust=max_thrust)
         options: dict[str, Any] = {"cable_length": 1.4, "tension": 1.0, "compared": ()}
-        return ho.fit(0.3, 4, quadrotor=kind, height=height, **options).holding
+        return ho.fit(0.3, 4, quadrotor=kind, height=0.2, **options).holding.rest_capacity
 
-    weak, strong = (holding_with(max_thrust, height=0.2).rest_capacity for max_thrust in (1.9, 5.0))
+    weak, strong = map(capacity, (1.9, 5.0))
     assert weak.binding == "thrust"
     assert weak.mass < strong.mass < 2.0 * 4 * 1.0 * math.cos(math.pi / 4) / 9.81  # clasps close
-    rest = holding_with().rest
-    assert isinstance(rest, ho.ConvexPolygon)
-    tallest = -2.0 * float(ho.Section(rest.vertices).clearance(np.zeros(2))[0]) * 9.81
-    stable, unstable = (
-        holding_with(height=share * tallest).rest_capacity for share in (0.99, 1.01)
-    )
-    assert stable.mass > 0.0
-    assert (unstable.mass, unstable.binding) == (0.0, "support")
 
 
 def test_fit_of_a_cylinder() -> None:
@@ -160,7 +150,8 @@ def test_fit_of_a_cylinder() -> None:
     assert best.mass > 0.1
     assert isinstance(fit.holding.grip, Grip)
     assert best.binding == "grip"
-    assert 1.5 * 9.81 * best.mass == pytest.approx(fit.holding.grip.slip_load(0.5))
+    slip_load = float(fit.holding.grip.slip_load(0.5))
+    assert 1.5 * 9.81 * best.mass == pytest.approx(slip_load, rel=0.03)
     assert best.mass == max(each.mass for each in grips.values())
     assert fit.holding.cable_length == pytest.approx(1.6, abs=0.1)
     fit.raise_if_too_heavy(0.1)
@@ -252,7 +243,13 @@ def test_edges_of_a_resting_polygon_keep_off_the_stem_below_the_rim() -> None:
     assert refused.violations[0].constraint == "support"
 
 
-def test_the_enclosing_polygon_is_as_far_off_as_enclose_keeps() -> None:
-    fitted = ho.fit(BOX, 4, tension=1.0, clearance=0.05, compared=())
+def test_the_enclosing_polygon_is_the_one_that_enclose_takes() -> None:
+    fitted = ho.fit(BOX, 4, tension=1.0, limits=ho.Limits(tilt=math.radians(60)), compared=())
     assert fitted.enclosing is not None
-    np.testing.assert_allclose(np.max(fitted.enclosing.vertices, axis=0), [0.295, 0.245])
+    holding = fitted.holding
+    box = ho.SolidObject(BOX, 0.0, 0.3, 0.05, at=[1.0, 0.0, 0.0])
+    team = ho.Team(4, holding.cable_length, tension=1.0, cable_friction=0.15)
+    start = ho.Hitch.spread(team, fitted.enclosing.vertices + [1.0, 0.0], 1.2)
+    plan = ho.solve(start, ho.Enclose("box"), objects={"box": box})
+    end = plan.motion.vertices.at(plan.duration)[:, :2] - [1.0, 0.0]
+    np.testing.assert_allclose(end, fitted.enclosing.vertices, atol=0.01)

@@ -1,29 +1,52 @@
-"""Grasps: hitches that may hold an object, whether they do, and how much they could hold."""
+"""Holds of an object: which may hold it, which do, with what reserve, and how much they could hold.
+
+``enclose``, ``grasp``, ``fit``, refusals and suggestions all ask ``HoldJudge``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import product
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from hitchopt.checks.grips import GRIP_LIMIT
 from hitchopt.errors import InfeasibleError, Violation, rounded_up, violations_at
-from hitchopt.hitch.holding import Grip, grip_capacity
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.holding import Capacity, Grip, grip_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
-from hitchopt.motion.motion import HoldBy
-from hitchopt.objects import Rim
-from hitchopt.planners.candidates import Candidate, error_of, first_feasible
-from hitchopt.planners.carrying.capacity import best_rim_hold, team_for_rim
-from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, RestHold
-from hitchopt.planners.carrying.planner import MovePlanner
-from hitchopt.planners.carrying.polygons import rest_polygons
-from hitchopt.planners.task import StepPlan, StepTask, require_certified
+from hitchopt.motion.motion import HoldBy, Motion
+from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.planners.candidates import (
+    Candidate,
+    Effort,
+    error_of,
+    first_certified,
+    first_feasible,
+)
+from hitchopt.planners.carrying.hold_search import HoldSearch
+from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, HoldingHitch, RestHold, polygon_at
+from hitchopt.planners.carrying.planner import BELOW_RIM, GraspState, MovePlanner
+from hitchopt.planners.carrying.polygons import (
+    EDGE_MARGIN,
+    HoldPolygons,
+    grip_polygons,
+    rest_polygons,
+)
+from hitchopt.planners.ends import end_of_morph
+from hitchopt.planners.fitting import enclosing_polygon, shortest_cable
+from hitchopt.planners.task import RestState, StepPlan, require_certified
 from hitchopt.values.fields import keys_of, with_fields
 
-LENGTH_LIMITED = frozenset({"separation", "cable_clearance", "crossing"})
-"""Constraints of a loaded hold that longer cables may satisfy, or shorter ones."""
+T = TypeVar("T")
+
+Closing: TypeAlias = tuple[HoldingHitch, ...]
+"""Hitches through which one around an object closes, the last of which holds it."""
 
 CLOSING_MARGIN = 1.03
 """Factor of the separation limits as legs close below a rim, since motion reduces distances."""
@@ -31,18 +54,374 @@ CLOSING_MARGIN = 1.03
 ROLL_RESERVE = 1.3
 """Factor of the smallest roll of unloaded legs: a load brings legs closer together."""
 
+EVEN_SPLITS = (0.3, 0.35, 0.65, 0.7)
+"""Slack splits of all cables of a hold below a rim that are tried before a search over all."""
+
 RESERVES = (1.0, 0.5, 0.25)
 """Shares of a carry's acceleration at which holds are judged, the largest first."""
 
 LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 """Constraints that only less weight or more capacity satisfies."""
 
+LENGTH_LIMITED = frozenset({"separation", "cable_clearance", "crossing"})
+"""Constraints of a loaded hold that longer cables may satisfy, or shorter ones."""
 
-def require_hold(task: StepTask, planner: MovePlanner) -> None:
-    """Raise InfeasibleError if the hold breaks limits at rest, or as the hitch rises to a rim."""
+LIGHT = 1e-3
+"""[kg] Mass with which holds are judged that hold nothing."""
+
+MASS_RESOLUTION = 0.02
+"""Resolution of the largest mass, as a fraction of it."""
+
+OVERLOAD = 1.05
+"""Mass at which the check that binds is found, over the largest that is carried."""
+
+BISECTIONS = 6
+"""Maximum number of masses that are certified of a hold."""
+
+SMALLEST_SHARE = 0.7
+"""Smallest share of a mass that does not fit that is tried next but one."""
+
+ASCENTS = 3
+"""Maximum number of searches by linear programs for a hold that bears more."""
+
+MIN_ASCENT = 1.03
+"""Smallest gain of mass of such a search that another follows, as a factor."""
+
+MAX_LOAD_RATIO = 2.5
+"""Weight over the sum of all tensions that no hold bears: two vertical legs per cable bear 2."""
+
+NOMINAL_SHARE = 0.5
+"""Share of the weight that the tension bears, for which cables are chosen without a stated mass."""
+
+EXTRA_LENGTHS = (0.0, 0.05, 0.15, 0.4)
+"""[m] Lengths of cables that are tried, beyond the shortest ones around an object."""
+
+GRIP_ROUNDS = 5
+"""Maximum number of grips whose polygons around the object need longer cables."""
+
+PILLAR_HEIGHT = 1.0
+"""[m] Height of the pillar on which a flat tray stands whose capacity is computed."""
+
+PILLAR_RADIUS = 0.025
+"""[m] Radius of that pillar."""
+
+COMPARED_ROBOTS = range(3, 9)
+"""Numbers of robots that are tried where the legs of a team cut a rim."""
+
+
+class Rated(NamedTuple):
+    """A hold and what it bears."""
+
+    mass: float
+    """About the largest mass [kg] at rest; 0 if none."""
+
+    hold: HoldingHitch
+    """The hold."""
+
+
+class Heaviest(NamedTuple):
+    """The largest mass that is held."""
+
+    capacity: Capacity
+    """The mass, and the check that binds."""
+
+    hold: HoldingHitch | None
+    """What holds it; None if nothing is held."""
+
+
+@dataclass(frozen=True, eq=False)
+class HoldJudge:
+    """The judge of holds of an object that a hitch encloses."""
+
+    planner: MovePlanner
+    """Moves with the object, before it is held: its polygons, and the tension of the hold."""
+
+    around: Hitch
+    """The hitch around the object."""
+
+    @classmethod
+    def of(
+        cls, name: str, team: Team, requirements: Requirements, polygons: HoldPolygons
+    ) -> HoldJudge:
+        """Return the judge for a team around an object.
+
+        Raises InfeasibleError if the legs of the hitch around it cannot keep the limits.
+
+        Parameters
+        ----------
+        name: of the object.
+        team: with the tension of the hold.
+        requirements: limits, distances and objects.
+        polygons: clasps around the object, and those that hold it.
+        """
+        body = requirements.objects[name]
+        around = Hitch.spread(
+            team,
+            polygon_at(body, polygons.around),
+            altitude_around(body, requirements.separation),
+            limits=requirements.limits,
+            separation=requirements.separation,
+        )
+        planner = MovePlanner(GraspState(name, polygons, team.tension), requirements, 0)
+        return cls(planner, around)
+
+    @property
+    def name(self) -> str:
+        """Name of the object."""
+        return self.planner.state.object
+
+    @property
+    def team(self) -> Team:
+        """The team of the hitch."""
+        return self.around.team
+
+    def with_mass(self, mass: float) -> HoldJudge:
+        """Return the judge for the object with another mass [kg]."""
+        requirements = self.planner.requirements
+        heavy = with_fields(self.planner.body, mass=mass)
+        objects = {**requirements.objects, self.name: heavy}
+        weighted = replace(requirements, objects=objects)
+        return replace(self, planner=replace(self.planner, requirements=weighted))
+
+    def with_hold(self, hold: HoldingHitch) -> MovePlanner:
+        """Return the planner of moves with a hold."""
+        return self.planner.from_state(hold=replace(hold, body=self.planner.body))
+
+    @property
+    def closing(self) -> Requirements:
+        """Requirements of the hitch below the rim: with a margin, without what cables may touch."""
+        requirements = self.planner.requirements
+        others = {k: body for k, body in requirements.objects.items() if k != self.name}
+        separation = wider_for_closing(requirements.separation)
+        return replace(requirements, objects=others, separation=separation)
+
+    @cached_property
+    def holds(self) -> tuple[HoldingHitch, ...]:
+        """The grip, or the holds by the rim's polygons: those with the nearest legs come first.
+
+        Raises InfeasibleError if legs keep their distances below no polygon.
+        """
+        return tuple(self._by_polygons())
+
+    def _by_polygons(self) -> Iterator[HoldingHitch]:
+        """Yield ``holds``, with the nearest legs, and then with EVEN_SPLITS."""
+        body, polygons, n = self.planner.body, self.planner.state.polygons, self.team.robots
+        if body.rim is None:
+            height = float(body.centre_of_mass[2])
+            closed = self.team, body, polygons.clasps, height, np.full(n, 0.5), np.zeros(n)
+            yield GripHold(*closed, polygons.around, self.around.fractions)
+            return
+        nearest = list[RestHold]()
+        for clasps in polygons.below_rim:
+            below = polygon_at(body, clasps)
+            ending = partial(end_of_morph, self.around, below, None, self.closing)
+            end = first_feasible([Candidate("legs", ending)], None)
+            if end is not None:
+                legs = end.hitch.fractions, ROLL_RESERVE * end.hitch.roll
+                nearest.append(RestHold(self.team, body, clasps, body.rim.height, *legs))
+                yield nearest[-1]
+        if not nearest:
+            end_of_morph(self.around, polygon_at(body, polygons.clasps), None, self.closing)
+        for start, split in product(nearest, EVEN_SPLITS):
+            yield replace(start, fractions=np.full(n, split))
+
+    def _found(self) -> Iterator[RestHold]:
+        """Yield the holds below a rim that linear programs find from its polygons."""
+        body, n = self.planner.body, self.team.robots
+        if body.rim is not None:
+            for clasps in self.planner.state.polygons.below_rim:
+                legs = np.full(n, 0.5), np.zeros(n)
+                start = RestHold(self.team, body, clasps, body.rim.height, *legs)
+                yield from self._search(start, self.planner.body.mass).holds()
+
+    def _search(self, start: RestHold, mass: float) -> HoldSearch:
+        """Return the search by linear programs from a hold's polygon, of a mass [kg]."""
+        planner = self.planner
+        return HoldSearch(
+            replace(start, body=with_fields(planner.body, mass=mass)),
+            planner.state.polygons.around,
+            planner.state.tension,
+            self.closing,
+            planner.gap,
+        )
+
+    def closings(self) -> Iterator[Closing]:
+        """Yield the closings of all holds.
+
+        Those that are found by linear programs have other legs, which change around the object.
+        """
+        yield from ((hold,) for hold in self._by_polygons())
+        for hold in self._found():
+            yield replace(hold, polygon=self.planner.state.polygons.around), hold
+
+    def violation(self, hold: HoldingHitch) -> InfeasibleError | None:
+        """Return what a hold breaks at rest, or as it is taken; None if it holds the object."""
+        return error_of(partial(require_hold, self.with_hold(hold)))
+
+    def hanging(self, hold: HoldingHitch) -> InfeasibleError | None:
+        """Return what a hold breaks with the object off its support; None if nothing."""
+        return error_of(partial(require_hanging, self.with_hold(hold)))
+
+    def carried(self, hold: HoldingHitch, share: float) -> InfeasibleError | None:
+        """Return what a hold breaks at rest, or at a share of a carry's acceleration; or None.
+
+        Grips are judged at rest.
+        """
+        planner = self.with_hold(hold)
+        if isinstance(hold, GripHold):
+            return self.violation(hold)
+        return self.violation(hold) or error_of(partial(planner.require_reserve, share))
+
+    def reserve(self, hold: HoldingHitch) -> float:
+        """Return the largest share of RESERVES at which a hold can be carried; 0 if none."""
+        planner = self.with_hold(hold)
+        feasible = (
+            share for share in RESERVES if error_of(partial(planner.require_reserve, share)) is None
+        )
+        return next(feasible, 0.0)
+
+    @cached_property
+    def _rated(self) -> tuple[Rated, ...]:
+        """Holds by what they bear at rest, the most first."""
+        rated = [Rated(self._borne_by(hold), hold) for hold in self.holds]
+        return tuple(sorted(rated, key=lambda each: -each.mass))
+
+    @cached_property
+    def _best(self) -> Rated:
+        """The hold that bears most at rest, with those that linear programs find from it."""
+        best = self._rated[0]
+        for _ in range(ASCENTS):
+            if not isinstance(best.hold, RestHold):
+                break
+            better = self._search(best.hold, max(best.mass, LIGHT)).improved(best.hold)
+            if better is None or (mass := self._borne_by(better)) < MIN_ASCENT * best.mass:
+                break
+            best = Rated(mass, better)
+        return best
+
+    def _borne_by(self, hold: HoldingHitch) -> float:
+        """Return about the largest mass [kg] that a hold bears at rest, without a certificate."""
+        team, body = self.team, self.planner.body
+        tension = self.planner.state.tension
+        if isinstance(hold, GripHold):
+            cable, pull = float(np.min(team.cable_length)), float(np.min(tension))
+            grip = Grip.of(body.section, hold.polygon, cable, pull, team.cable_friction)
+            return grip_capacity(grip, team.quadrotor[0], body.friction, GRIP_LIMIT).mass
+        if not isinstance(hold, RestHold):
+            return 0.0
+
+        def is_borne(mass: float) -> bool:
+            """Return whether a mass [kg] is borne."""
+            closing = self._search(hold, mass)
+            separation = self.planner.requirements.separation
+            requirements = replace(self.closing, separation=separation)
+            search = replace(closing, requirements=requirements)
+            return search.at_rest(search.start) >= 0.0
+
+        low, high = 0.0, MAX_LOAD_RATIO * float(np.sum(tension)) / GRAVITY
+        if not is_borne(LIGHT):
+            return 0.0
+        while high - low > MASS_RESOLUTION * high:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if is_borne(middle) else (low, middle)
+        return low
+
+    @property
+    def bearable(self) -> float:
+        """About the largest mass [kg] that a hold by the rim's polygons bears at rest."""
+        return self._rated[0].mass
+
+    def carries(self, mass: float) -> bool:
+        """Return whether a hold carries a mass [kg] with the full acceleration."""
+        heavy = self.with_mass(mass)
+        rated = self._rated[0] if self.bearable >= mass else self._best
+        return rated.mass >= mass and heavy.carried(rated.hold, RESERVES[0]) is None
+
+    def candidates(self, plan: Callable[[Closing, float], T]) -> Iterator[Candidate[T]]:
+        """Yield all closings as candidates: those without a full reserve last, by their reserves.
+
+        ``plan`` takes a closing and the reserve of its hold, of RESERVES or 0.
+        """
+        slower = list[tuple[float, Candidate[T]]]()
+        for closing in self.closings():
+            hold = closing[-1]
+            error = self.violation(hold)
+            is_only = isinstance(hold, GripHold)
+            reserve = RESERVES[0] if error or is_only else self.reserve(hold)
+            planned = partial(_planned, plan, closing, reserve, error)
+            candidate = Candidate("hold", planned, explained=partial(hold_error, self, hold))
+            if reserve == RESERVES[0]:
+                yield candidate
+            else:
+                slower.append((reserve, candidate))
+        slower.sort(key=lambda rated: -rated[0])
+        yield from (candidate for _, candidate in slower)
+
+    def remark_on(self, reserve: float) -> str:
+        """Return a remark on a hold with less than the full reserve, with cables that have it."""
+        if reserve == RESERVES[0]:
+            return ""
+        speed = f"at {reserve:.0%} of the usual acceleration" if reserve else "slowly"
+        remark = f"no hold has a reserve: the object is carried {speed}"
+        planner = self.planner
+        longest = float(np.max(self.team.cable_length))
+        for extra in EXTRA_LENGTHS[1:]:
+            ratio = (longest + extra) / longest
+            team = with_fields(
+                self.team,
+                cable_length=ratio * self.team.cable_length,
+                tension=planner.state.tension,
+            )
+            build = partial(
+                HoldJudge.of, self.name, team, planner.requirements, planner.state.polygons
+            )
+            longer = first_feasible([Candidate("cables", build)], None)
+            if longer is not None and longer.carries(planner.body.mass):
+                return f"{remark}; cables of {longest + extra:.3g} m would have one"
+        return remark
+
+    @cached_property
+    def heaviest(self) -> Heaviest:
+        """The largest mass that a hold carries with the smallest of RESERVES, by bisection."""
+        hold, high = self._best.hold, max(self._best.mass, LIGHT)
+        low, trial = 0.0, high
+        for _ in range(BISECTIONS):
+            if self.with_mass(trial).carried(hold, RESERVES[-1]) is None:
+                low = trial
+            else:
+                high = trial
+            if high - low <= MASS_RESOLUTION * high:
+                break
+            trial = 0.5 * (max(low, SMALLEST_SHARE * high) + high)
+        heavier = self.with_mass(max(OVERLOAD * low, LIGHT))
+        error = heavier.carried(hold, RESERVES[-1])
+        binding = "load" if error is None else error.violations[0].constraint
+        return Heaviest(Capacity(low, binding), hold if low else None)
+
+
+def _planned(
+    plan: Callable[[Closing, float], T],
+    closing: Closing,
+    reserve: float,
+    error: InfeasibleError | None,
+) -> T:
+    """Return the plan of a closing, or raise what its hold breaks."""
+    if error is not None:
+        raise error
+    return plan(closing, reserve)
+
+
+def altitude_around(body: SolidObject, separation: Separation) -> float:
+    """Return the altitude [m] of a hitch around an object: below its rim, or at its middle."""
+    if body.rim is None:
+        return float(body.at[2] + body.centre_of_mass[2])
+    return float(body.at[2]) + body.rim.height - (separation.object + BELOW_RIM)
+
+
+def require_hanging(planner: MovePlanner) -> None:
+    """Raise InfeasibleError if the hold breaks limits at rest, with the object off its support."""
     hold = planner.hold
-    name = f"objects.{planner.state.object}"
-    when = f"with {name} off its support"
+    when = f"with objects.{planner.state.object} off its support"
     with violations_at(when):
         if isinstance(hold, RestHold):
             hold.check_unbent(planner.state.tension)
@@ -51,52 +430,54 @@ def require_hold(task: StepTask, planner: MovePlanner) -> None:
                 raise InfeasibleError([violation])
         lifted = planner.from_state(carried=True)
         at_rest = lifted.motion([lifted.rest(1.0)], "hold")
-        require_certified(StepPlan(at_rest, task.before), when)
-    if isinstance(hold, RestHold):
-        when = f"as the clasps take {name}"
+        require_certified(_step_plan(at_rest), when)
+
+
+def require_hold(planner: MovePlanner) -> None:
+    """Raise InfeasibleError if the hold breaks limits at rest, or as the hitch rises to a rim."""
+    require_hanging(planner)
+    if isinstance(planner.hold, RestHold):
+        when = f"as the clasps take objects.{planner.state.object}"
         with violations_at(when):
             moves = [planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)]
-            taking = planner.motion(moves, "lift")
-            require_certified(StepPlan(taking, task.before), when)
+            require_certified(_step_plan(planner.motion(moves, "lift")), when)
 
 
-def reserve_of(planner: MovePlanner) -> float:
-    """Return the largest of RESERVES with which the hold can be carried; 0 if none."""
-    shares = (
-        share for share in RESERVES if error_of(partial(planner.require_reserve, share)) is None
-    )
-    return next(shares, 0.0)
+def _step_plan(motion: Motion) -> StepPlan:
+    """Return a motion as a plan, to be certified."""
+    return StepPlan(motion, RestState(motion.team, motion.drones.at(motion.duration)))
 
 
-def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> InfeasibleError:
-    """Return the error of a hold, with its capacity and a suggested change."""
-    hold = planner.hold
+def hold_error(judge: HoldJudge, hold: HoldingHitch, error: InfeasibleError) -> InfeasibleError:
+    """Return the error of a hold, with the largest mass of all holds and what helps."""
+    planner = judge.planner
+    key = f"objects.{judge.name}"
     mass = planner.body.mass
-    capacity = hold_capacity(planner, task.requirements)
+    capacity = judge.heaviest.capacity
     hardware = "use the number of robots that hitchopt fit recommends"
     if any(RIM_EDGE in violation.where for violation in error.violations):
-        hardware = _other_robots(planner, task.requirements)
+        hardware = _other_robots(judge)
+    stated = f" (a {'rim' if hold.by is HoldBy.REST else 'grip'} holds {capacity.mass:.2g} kg)"
     if hold.by is not HoldBy.REST:
         hardware = "use rougher cables"
-        if capacity.rim_mass >= mass:
-            two_cables = hold.team.robots == 2
-            rim = "rest it on a rim with three robots" if two_cables else "add a rim"
-            hardware = f"{hardware}, or {rim}"
-    remedy = (
-        f"lower objects.{planner.state.object}.mass, or request a different tension, "
-        f"or {hardware}{capacity.text}"
-    )
+        rim_mass = _rim_mass(judge)
+        if rim_mass >= mass:
+            hardware = f"{hardware}, or add a rim"
+        if rim_mass:
+            stated = stated.replace(")", f", a rim {rim_mass:.2g} kg)")
+    held = stated if capacity.mass else ""
+    remedy = f"lower {key}.mass, or request a different tension, or {hardware}{held}"
     violations = list[Violation]()
-    if mass > capacity.max_mass:
-        where = (planner.state.object,)
+    if 0.0 < capacity.mass < mass:
+        where = (judge.name,)
         when = error.violations[0].when
-        load = Violation("load", mass, capacity.max_mass, "max", "kg", where, when, remedy)
+        load = Violation("load", mass, capacity.mass, "max", "kg", where, when, remedy)
         violations.append(load)
     for violation in error.violations:
         alternatives = ""
         if violation.constraint == "tilt":
             alternatives += ", or raise limits.tilt_deg"
-        if violation.constraint == "keep_out" and planner.state.object in violation.where:
+        if violation.constraint == "keep_out" and judge.name in violation.where:
             alternatives += ", or use longer cables"  # drones are beside the held object itself
         elif violation.constraint in LENGTH_LIMITED:
             alternatives += ", or use cables of a different length"
@@ -106,78 +487,146 @@ def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> 
     return InfeasibleError(violations)
 
 
-def _other_robots(planner: MovePlanner, requirements: Requirements) -> str:
+def _other_robots(judge: HoldJudge) -> str:
     """Return what to use where legs cut a rim: another number of robots, if one holds it."""
-    team = planner.hold.team
-    cable_length = float(np.min(team.cable_length))
-    other = team_for_rim(
-        team.robots,
-        planner.body,
-        cable_length,
-        float(np.min(planner.state.tension)),
-        team.quadrotor[0],
-        requirements,
-        planner.gap,
-    )
+    other = team_for_rim(judge)
     if other is None:
         return "use a rounder rim"
     cables = ""
-    if other.cable_length > cable_length:
-        cables = f" with cables of {rounded_up(other.cable_length, 3):.3g} m or more"
+    cable_length = float(np.min(other.cable_length))
+    if cable_length > float(np.min(judge.team.cable_length)):
+        cables = f" with cables of {rounded_up(cable_length, 3):.3g} m or more"
     return f"use {other.robots} robots{cables}, whose legs stay below the rim"
 
 
-class HoldCapacity(NamedTuple):
-    """Masses that a hold, and a rim, can carry."""
+def hold_polygons(
+    name: str, team: Team, requirements: Requirements, by: HoldBy, gap: float
+) -> HoldPolygons:
+    """Return the preferred polygons of a method, which ``enclose`` tries first.
 
-    text: str
-    """Both in words, in parentheses after a space; empty if neither can be computed."""
+    Raises InfeasibleError if no polygon holds the object.
 
-    max_mass: float
-    """Maximum mass [kg] of the hold; inf if it cannot be computed."""
-
-    rim_mass: float
-    """Maximum mass [kg] on a rim; 0 if it cannot be computed."""
-
-
-def hold_capacity(planner: MovePlanner, requirements: Requirements) -> HoldCapacity:
-    """Return the capacities of the hold, and of a rim that at least three robots hold."""
-    hold = planner.hold
-    # Some bodies have no polygons of clasps
-    candidate = Candidate("rim", lambda: _rim_capacity(planner, requirements))
-    rim_mass = first_feasible([candidate], None)
-    if isinstance(hold, GripHold):
-        grip_mass = _grip_mass(planner, hold)
-        rim = "" if rim_mass is None else f", a rim {rim_mass:.2g} kg"
-        return HoldCapacity(f" (a grip holds {grip_mass:.2g} kg{rim})", grip_mass, rim_mass or 0.0)
-    # Rolled legs may hold an object that unrolled ones do not
-    if not rim_mass:
-        return HoldCapacity("", np.inf, 0.0)
-    max_mass = rim_mass if isinstance(hold, RestHold) else np.inf
-    return HoldCapacity(f" (a rim holds {rim_mass:.2g} kg)", max_mass, rim_mass)
+    Parameters
+    ----------
+    name: of the object in the requirements, with a rim if it is to rest.
+    team: its drones and cables.
+    requirements: limits, distances and objects.
+    by: method of holding.
+    gap: of edges around the object [m].
+    """
+    body = requirements.objects[name]
+    if by is HoldBy.GRIP:
+        return grip_polygons(name, body, team, requirements, gap)
+    return rest_polygons(name, body, team.robots, gap)[0]
 
 
-def _grip_mass(planner: MovePlanner, hold: GripHold) -> float:
-    """Return the largest mass that a grip holds [kg]."""
-    team, body = hold.team, planner.body
-    cable_length = float(np.min(team.cable_length))
-    tension = float(np.min(planner.state.tension))
-    grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
-    return grip_capacity(grip, team.quadrotor[0], body.friction, GRIP_LIMIT).mass
+def shortest_judge(
+    name: str, team: Team, requirements: Requirements, by: HoldBy, gap: float, mass: float | None
+) -> HoldJudge:
+    """Return the judge with the shortest cables that keep drones apart and carry an object.
+
+    If none of EXTRA_LENGTHS carries it, they bear most. Raises InfeasibleError if no polygon holds
+    the object, or no length keeps drones apart around it.
+
+    Parameters
+    ----------
+    name, by, gap: as of ``hold_polygons``.
+    team: with the tension of the hold; its cables' length does not matter.
+    requirements: limits, distances and the object.
+    mass: [kg] to be carried; None for NOMINAL_SHARE of what the tension bears.
+    """
+
+    def sized(cable_length: float) -> Team:
+        """Return the team with cables of a length [m]."""
+        return with_fields(team, cable_length=np.full(team.robots, round(cable_length, 2)))
+
+    def shortest_around(polygons: HoldPolygons) -> float:
+        """Return the length [m] of the shortest cables around the object."""
+        return shortest_cable([ConvexPolygon(polygons.around)], requirements, team)
+
+    def gripping(extra: float) -> HoldJudge:
+        """Return the grip of cables that are longer by ``extra`` [m], or as long as it needs."""
+        section = requirements.objects[name].section
+        enclosing = enclosing_polygon(section, team.robots, gap)
+        cable_length = shortest_cable([enclosing], requirements, team) + extra
+        for _ in range(GRIP_ROUNDS):  # grips of longer cables are wider
+            polygons = hold_polygons(name, sized(cable_length), requirements, by, gap)
+            needed = shortest_around(polygons)
+            if needed <= cable_length:
+                break
+            cable_length = needed
+        return HoldJudge.of(name, sized(cable_length), requirements, polygons)
+
+    if by is HoldBy.GRIP:
+        grips = (Candidate("cable length", partial(gripping, extra)) for extra in EXTRA_LENGTHS)
+        return first_certified(grips, Effort())
+    straight = 2.0 * float(np.sum(team.tension)) * math.cos(math.pi / team.robots) / GRAVITY
+    needed = NOMINAL_SHARE * straight if mass is None else mass
+    polygons = hold_polygons(name, team, requirements, by, gap)
+    shortest = shortest_around(polygons)
+    judges = list[HoldJudge]()
+    for extra in EXTRA_LENGTHS:
+        judges.append(HoldJudge.of(name, sized(shortest + extra), requirements, polygons))
+        if judges[-1].bearable >= needed and judges[-1].carries(needed):
+            return judges[-1]
+    return max(reversed(judges), key=lambda judge: judge.bearable)
 
 
-def _rim_capacity(planner: MovePlanner, requirements: Requirements) -> float:
-    """Return the largest mass on the rim, or for a grip on its section as a rim [kg]."""
-    team, body = planner.hold.team, planner.body
-    polygons = planner.state.polygons
-    if isinstance(planner.hold, GripHold):
-        body = with_fields(body, rim=Rim(body.section, body.lower))
-        robots = max(team.robots, 3)
-        polygons = rest_polygons(planner.state.object, body, robots, planner.gap)[0]
-    cable_length = float(np.min(team.cable_length))
-    tension = float(np.min(planner.state.tension))
-    best = best_rim_hold(body, polygons, cable_length, tension, team.quadrotor[0], requirements)
-    return best.capacity.mass
+def team_for_rim(judge: HoldJudge) -> Team | None:
+    """Return a team of another size that carries an object by its rim; None without one.
+
+    Its size is the nearest to that of the team that does not. Cables are as long as that team's, or
+    as long as its drones require around the object.
+    """
+    planner = judge.planner
+    team = judge.team
+
+    def carrying(robots: int) -> Team | None:
+        """Return the team of a size if it carries the object."""
+        cable_length = float(np.min(team.cable_length))
+        alike: dict[str, Any] = {
+            "cable_density": team.cable_density,
+            "cable_friction": team.cable_friction,
+            "tension": float(np.min(planner.state.tension)),
+            "quadrotor": team.quadrotor[0],
+        }
+        polygons = rest_polygons(judge.name, planner.body, robots, planner.gap)[0]
+        outlines = [ConvexPolygon(polygons.around), ConvexPolygon(polygons.clasps)]
+        shortest = shortest_cable(outlines, planner.requirements, Team(robots, 1.0, **alike))
+        other = Team(robots, max(cable_length, shortest), **alike)
+        others = HoldJudge.of(judge.name, other, planner.requirements, polygons)
+        return other if others.carries(planner.body.mass) else None
+
+    sizes = [robots for robots in COMPARED_ROBOTS if robots != team.robots]
+    nearest_first = sorted(sizes, key=lambda robots: (abs(robots - team.robots), robots))
+    teams = (first_feasible([Candidate("team", partial(carrying, n))], None) for n in nearest_first)
+    return next(filter(None, teams), None)
+
+
+def _rim_mass(judge: HoldJudge) -> float:
+    """Return the largest mass [kg] on a gripped object's section as a rim; 0 if none is held."""
+    planner = judge.planner
+    body = planner.body
+    tray = with_fields(body, rim=Rim(body.section, body.lower))
+    requirements = replace(planner.requirements, objects=on_pillar(judge.name, tray))
+    tensioned = with_fields(judge.team, tension=planner.state.tension)
+
+    def mass() -> float:
+        """Return the largest mass that rests on the rim."""
+        gap = requirements.separation.object + EDGE_MARGIN
+        polygons = hold_polygons(judge.name, tensioned, requirements, HoldBy.REST, gap)
+        resting = HoldJudge.of(judge.name, tensioned, requirements, polygons)
+        return resting.heaviest.capacity.mass
+
+    return first_feasible([Candidate("rim", mass)], 0.0)
+
+
+def on_pillar(name: str, tray: SolidObject) -> dict[str, SolidObject]:
+    """Return objects by name: a flat tray that stands on a slim pillar at the origin."""
+    centre = np.append(tray.section.centroid, 0.0)
+    pillar = SolidObject(Section(radius=PILLAR_RADIUS), 0.0, PILLAR_HEIGHT, at=centre, fixed=True)
+    standing = tray.moved_to(np.array([0.0, 0.0, PILLAR_HEIGHT - tray.lower, 0.0]))
+    return {name: standing, "pillar": pillar}
 
 
 def wider_for_closing(separation: Separation) -> Separation:

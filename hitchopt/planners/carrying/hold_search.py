@@ -108,6 +108,18 @@ class HoldSearch:
             if hold is not None:
                 yield hold
 
+    def at_rest(self, hold: RestHold) -> float:
+        """Return the smallest margin of a hold's distances and forces with the whole weight."""
+        curves = _at_rest(hold, self.tension, 1.0)
+        if curves is None:
+            return -math.inf
+        margins = [*self._distances(curves), *self._of_legs(hold, curves, 1.0)]
+        return min(float(np.min(each)) for each in margins)
+
+    def improved(self, hold: RestHold) -> RestHold | None:
+        """Return the hold that a search reaches from another; None if it breaks a limit."""
+        return self.found(np.column_stack([hold.polygon, hold.fractions, hold.roll]))
+
     def found(self, guess: Array) -> RestHold | None:
         """Return the hold that a search reaches from a guess (n, 4); None if it breaks a limit."""
         margins, gradients, region = self.margins(guess), None, 1.0
