@@ -202,7 +202,7 @@ def test_the_manifest_says_how_and_by_whom_a_plan_is_flown(name: str, tmp_path: 
     exported(plan.motion, name, tmp_path / "named", allow_slack=False)
     exported(plan_of(ho.Quadrotor()).motion, name, tmp_path / "unnamed")
     named, unnamed = (read_manifest(tmp_path / each) or {} for each in ("named", "unnamed"))
-    flown = "upload" if uploaded else "" if name == "gltf" else "stream"
+    flown = "upload" if uploaded else "" if name in ("gltf", "mjcf") else "stream"
     assert named["flown_by"] == unnamed["flown_by"] == flown
     assert (named["controllers"], unnamed["controllers"]) == ([kind.controller], [])
     if name in (*UPLOADED, "ros2bag"):

@@ -126,7 +126,7 @@ def controlled() -> Motion:
     load = np.array([0.001, 0.002, 0.003])
     errors = Errors(cable_length=0.004, drone=ho.Tube(0.01, 0.02), friction=0.1)
     team = dataclasses.replace(
-        motion.team, cable_friction=0.2, load=load, quadrotor=kinds, errors=errors
+        motion.team, cable_friction=0.2, load=load, quadrotor=kinds, errors=errors, release=True
     )
     team = Assignment((1, 2, 0), (False, True, True)).team(team)
     for field in dataclasses.fields(ho.Team):

@@ -544,6 +544,7 @@ TEAM = ho.Team(
     quadrotor=[ho.Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k, 4.0 + k, k == 1) for k in range(4)],
     load=[0.001, 0.002, 0.003],
     errors={"cable_length": 0.004},
+    release=True,
 )
 """No field is its default; those per robot all differ."""
 
