@@ -328,7 +328,7 @@ def test_a_printed_certificate_is_its_table(plan: ho.Plan) -> None:
             ho.Team,
             "mass",
             "Team() has no argument 'mass'; use one of robots, cable_length, topology, "
-            "cable_density, cable_friction, tension, quadrotor, load, errors, assignment",
+            "cable_density, cable_friction, tension, quadrotor, load, errors, release, assignment",
         ),
         (ho.Team, "tensoin", "Team() has no argument 'tensoin'; did you mean tension?"),
         (
