@@ -42,7 +42,7 @@ REQUIRED = ["limits", "separation", "arena", "limit"]
 
 @pytest.mark.parametrize(
     ("function", "kind", "first", "last"),
-    [(ho.morph, ho.Morph, ["start"], ["cost"]), (ho.form, ho.Form, ["team", "q", "r"], [])],
+    [(ho.morph, ho.Morph, ["start"], ["cost", "like"]), (ho.form, ho.Form, ["team", "q", "r"], [])],
 )
 def test_shortcuts_have_the_arguments_and_words_of_their_records(
     function: Any, kind: type[Step], first: list[str], last: list[str]
