@@ -25,7 +25,6 @@ from hitchopt.objects.placing import (
     surface_below,
 )
 from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.carrying.detours import CarrySearch
 from hitchopt.planners.carrying.grasps import Closing, HoldJudge, altitude_around
 from hitchopt.planners.carrying.holds import GripHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
@@ -501,6 +500,8 @@ class Carry(Step):
         """Plan the flight along the line, or past what is in its way."""
         to = goal_of(self, task.requirements, self.object)
         straight = Candidate("straight way", partial(self._through, [to], task))
+        from hitchopt.planners.carrying.detours import CarrySearch  # heavy
+
         ways = CarrySearch(planner_of(task), to).ways()
         beside = [Candidate("detour", partial(self._past, way, task)) for way in ways]
         return first_certified([*beside, straight], task.effort, task.progress)

@@ -79,7 +79,7 @@ def test_a_cable_pulled_far_beyond_the_largest_planned_tension_fails() -> None:
         flight = flight_of(task(), HITCH, T, peak_tensions=peaks, rested=1.5)
         assert kinds(flight) == ([("snapped", ("cable 2",), pytest.approx(0.7))] if fails else [])
     (failure,) = departures(flight)
-    assert "5.05 times the plan's largest tension" in failure.words
+    assert "5.05 times the largest planned one" in failure.words
     free = resting_task(HITCH, 1.0, formed=False)  # nothing to compare with
     assert kinds(flight_of(free, HITCH, T, peak_tensions=peaks)) == []
 

@@ -186,7 +186,7 @@ def test_the_command_prints_trims_and_how_far_the_vertex_error_falls(tmp_path: P
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
     words = " ".join(result.stdout.split())
-    assert "Trims by 2 rests" in words
+    assert "Trims from 2 rests" in words
     assert "q0 6.0, 0.0 1.0 0.0, 0.0" in words
     found = ho.calibrate(tmp_path / "flight.csv", folder)
     before, after = found.planned_vertex_error, found.vertex_error
