@@ -252,11 +252,15 @@ def morphs(
 def _morph_or_error(
     start: Hitch, polygon: Polygon, options: Mapping[str, Any]
 ) -> Plan | InfeasibleError:
-    """Return the plan of a morph, or the error that it is infeasible."""
+    """Return the plan of a morph, or the error that it is infeasible.
+
+    The error has no traceback and no earlier errors, which some packages pickle, too.
+    """
     try:
         return morph(start, polygon, **options)
     except InfeasibleError as error:
-        return error
+        error.__cause__ = error.__context__ = None
+        return error.with_traceback(None)
 
 
 @contextmanager

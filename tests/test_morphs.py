@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.api import _morph_or_error
 
 TEAM = ho.Team(robots=3, cable_length=2.4)
 START = ho.Hitch.spread(TEAM, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.2)
@@ -30,6 +31,13 @@ def test_many_morphs_are_those_planned_one_by_one_in_order() -> None:
     assert isinstance(none, ho.InfeasibleError)
     assert said == [f"planning morphs, {k} of 3" for k in (1, 2, 3)]
     assert ho.morphs([]) == []
+
+
+def test_errors_bring_no_tracebacks_and_earlier_errors_along() -> None:
+    """Where dask is imported, these are pickled, too, which exceeds the recursion limit."""
+    error = _morph_or_error(START, FAR, {})
+    assert isinstance(error, ho.InfeasibleError)
+    assert error.__traceback__ is error.__context__ is error.__cause__ is None
 
 
 def test_invalid_arguments_are_refused() -> None:

@@ -421,10 +421,10 @@ def action_plan(
     from hitchopt.planners.morph.actions import ActionMorph
 
     flown = ActionMorph(action, end, task.requirements, duration).solve()
-    phase = replace(phase, remark="; ".join(_remarks_on_drones(flown, action, reason)))
-    if flown.motion is None:
+    if flown is None:
         rest = rest_motion(end, task.requirements, duration or IDLE, phase)
         return task.plan_ending(rest, end)
+    phase = replace(phase, remark="; ".join(_remarks_on_drones(flown, action, reason)))
     return _flown_plan(task, flown, end, phase)
 
 
@@ -456,10 +456,8 @@ def rolling_action_plan(
 
 def _flown_plan(task: StepTask, flown: FlownAction, end: Hitch, phase: Phase) -> StepPlan:
     """Return the plan of an action's motion."""
-    motion = flown.motion
-    assert motion is not None
-    phases = (phase.retimed(0.0, motion.duration),)
-    return replace(task.plan_ending(motion.replaced(phases=phases), end), path=flown.path)
+    phases = (phase.retimed(0.0, flown.motion.duration),)
+    return replace(task.plan_ending(flown.motion.replaced(phases=phases), end), path=flown.path)
 
 
 def _remarks_on_drones(flown: FlownAction, action: Action, reason: str) -> list[str]:

@@ -26,7 +26,7 @@ from hitchopt.motion.states import (
     states_at,
 )
 from hitchopt.support import Feature
-from hitchopt.values import Indices
+from hitchopt.values import Indices, known
 
 MIN_TIME = 4.0
 """[s] Shortest time after a loss to which others fly on without a reaction."""
@@ -40,8 +40,7 @@ def task_with_cut(task: Task, loss: Loss, *, react: bool) -> tuple[Task, Remaini
 
     Raises UnsupportedError for several teams; others as ``Plan.after_loss``.
     """
-    flight = task.of_one_team(Feature.SIMULATED_LOSS).flight
-    assert flight is not None  # the task of a plan
+    flight = known(task.of_one_team(Feature.SIMULATED_LOSS).flight)  # files are refused before
     motion = flight.teams[0].motion
     try:
         found = after_loss_of(flight, loss.name, loss.time)

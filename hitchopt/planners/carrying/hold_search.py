@@ -40,12 +40,23 @@ MARGIN = 0.06
 MAX_PROGRAMS = 60
 """Maximum number of linear programs of a search."""
 
-GROWTH, SHRINKAGE, MAX_REGION, MIN_REGION = 1.7, 0.4, 3.0, 2e-3
-"""Factors of the trust region after better and worse steps, and its largest and smallest size over
-STEPS."""
+GROWTH = 1.7
+"""Factor of the trust region after a better step."""
 
-GAIN_SHARE, MIN_GAIN = 0.1, 1e-6
-"""Smallest gain of a step over the predicted one, and smallest gain."""
+SHRINKAGE = 0.4
+"""Factor of the trust region after a worse step."""
+
+MAX_REGION = 3.0
+"""Largest size of the trust region, over STEPS."""
+
+MIN_REGION = 2e-3
+"""Size of the trust region below which a search ends, over STEPS."""
+
+GAIN_SHARE = 0.1
+"""Smallest gain of a step over the predicted one."""
+
+MIN_GAIN = 1e-6
+"""Smallest gain of a step."""
 
 ROW_RANGE = 3.0
 """Margins above the smallest one by more than this do not enter programs."""

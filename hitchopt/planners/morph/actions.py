@@ -213,11 +213,11 @@ def _of_all_vertices(start: Hitch, vertex: int, track: PiecewisePolynomial) -> P
 class FlownAction:
     """The motion of an action, with names of further drones that move."""
 
-    motion: Motion | None
-    """The motion, without phases; None if nothing moves."""
+    motion: Motion
+    """The motion, without phases."""
 
     path: Path | None = None
-    """The path that was timed; None if nothing moves, or s is time."""
+    """The path that was timed; None if s is time."""
 
     turning: tuple[str, ...] = ()
     """Names of drones that the law moves only because of unequal tensions or weight."""
@@ -285,12 +285,15 @@ class ActionMorph:
             if shape_violation(path) is None and load_violation(path, limits) is None
         ]
 
-    def solve(self) -> FlownAction:
-        """Return the flight; errors are those of ``problem`` and ``motion_along``."""
+    def solve(self) -> FlownAction | None:
+        """Return the flight; None if nothing moves.
+
+        Errors are those of ``problem`` and ``motion_along``.
+        """
         action = self.action
         distance = np.max(np.abs(self.end.drones - action.start.drones))
         if action.track is None and distance < POSITION_TOLERANCE:
-            return FlownAction(None)
+            return None
         return self.flown(self.problem)
 
     def flown(self, path: Path) -> FlownAction:
