@@ -28,7 +28,10 @@ def test_a_nearby_goal_is_reached_on_the_route_of_an_earlier_plan(turned: ho.Pla
     assert plan.certificate.certified
     assert plan.phases[0].remark == "on the route of an earlier plan"
     np.testing.assert_allclose(plan.end.polygon.vertices, other.vertices, atol=1e-9)
-    np.testing.assert_allclose(plan.at(0.0).positions, START.drones, atol=1e-9)
+    start = ho.Hitch.spread(TEAM, SQUARE.translated([0.37, -0.21]))
+    moved = ho.morph(start, other, like=turned)
+    assert moved.phases[0].remark == plan.phases[0].remark
+    np.testing.assert_allclose(moved.at(0.0).positions, start.drones, atol=1e-9)
     assert plan.duration == pytest.approx(turned.duration, rel=0.05)
 
 
