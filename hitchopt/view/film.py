@@ -54,9 +54,8 @@ def save_film(
         optional_module("imageio_ffmpeg", f"{path}: needs", "view")
     rate = RATES[kind]
     if kind == ".gif":
-        steps = np.ceil(
-            100.0 * float(scene.t[-1]) / (MAX_GIF_FRAMES - 2)
-        )  # of its clock, per frame
+        # Of its clock, per frame
+        steps = np.ceil(100.0 * float(scene.t[-1]) / (MAX_GIF_FRAMES - 2))
         rate = 100.0 / max(6.0, float(steps))
     options: dict[str, Any] = {"fps": rate, "macro_block_size": 8}
     if kind == ".gif":

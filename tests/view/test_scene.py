@@ -214,7 +214,7 @@ def test_a_film_is_in_real_time_and_shows_the_motion(tmp_path: Path) -> None:
     assert imageio_ffmpeg.count_frames_and_secs(tmp_path / "plan.mp4")[0] == 11
     assert progress == pytest.approx([*(np.arange(1, 8) / 7), *(np.arange(1, 12) / 11)])
     assert {entry.name for entry in tmp_path.iterdir()} == {"plan.gif", "plan.mp4"}
-    long = scene_of(ho.Flight.of(make_motion(3).slowed(0.003)))  # of 9.3 s
+    long = scene_of(ho.Flight.of(make_motion(3).slowed(3.0)))  # of 9.3 s
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hitchopt.view.film.MAX_GIF_FRAMES", 12)
         save_film(tmp_path / "long.gif", long)
