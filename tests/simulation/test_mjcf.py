@@ -11,6 +11,9 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.errors import UnsupportedError
+from hitchopt.lab.simulation.ropes import leg_end_offsets
+from hitchopt.lab.simulation.settings import FAST
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.values import Array
 
@@ -38,9 +41,12 @@ def test_the_scene_rests_where_the_simulated_flight_rests(tmp_path: Path) -> Non
     plan = ho.solve(START, MISSION)
     plan.export("mjcf", tmp_path)
     model, data, nodes = stepped(tmp_path / "scene.xml")
-    for name, place in zip(plan.flight.team.drone_names, plan.at(9.0).positions, strict=True):
-        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-        assert np.linalg.norm(data.xpos[body] - place) < 0.015  # the end of a thick rope is there
+    names = plan.flight.team.drone_names
+    bodies = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in names]
+    ends = leg_end_offsets(TeamTask.of(plan.motion), FAST.diameter)[-1]  # of thick ropes
+    off = data.xpos[bodies] - plan.at(plan.duration).positions
+    assert np.sum(off * ends) / np.sum(ends * ends) == pytest.approx(1.0, abs=0.3)
+    np.testing.assert_allclose(off, ends, atol=0.01)
     film = ho.simulate(plan, pull_test=False).flight.film
     for t in (plan.duration - 1.0, plan.duration):
         key = min(nodes, key=lambda time: abs(time - t))
