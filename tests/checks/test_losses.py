@@ -170,3 +170,33 @@ def test_what_no_loss_leaves_intact_is_refused_by_key(change: dict[str, Any], wo
     start = ho.Hitch.balanced(replace(team, **change), ho.regular_polygon(3, 1.0), 1.5)
     with pytest.raises(ho.InputError, match=rf"^limits\.survive.*{words}"):
         ho.solve(start, ho.Hold(1.0), limits=SURVIVE)
+
+
+@pytest.mark.parametrize("n", [4, 5])
+def test_all_that_may_meet_after_a_loss_is_compared(n: int) -> None:
+    """Pairs by counting: 2n drones move, of which two after one loss, in which two drones leave."""
+    (after,) = after_losses(plan_of(n, 2.2, 0.002).motion)
+    counts = list[tuple[str, int]]()
+    for case in after.cases():
+        assert case.moving.second is not None
+        assert case.moving.allowed is not None
+        sizes = case.moving.first.shape[1], case.moving.second.shape[1]
+        counts.append((case.check, int(np.sum(case.moving.allowed(*np.indices(sizes))))))
+    moved, drones, parts = 2 * n, 2 * n, 3
+    ways = [moved * (drones - 3), moved, moved * 2]  # to those that stay, to each other, below two
+    rising = [drones * (drones - 2)]
+    assert [count for check, count in counts if check == "separation"] == ways + rising
+    assert sorted(count for check, count in counts if check == "cable_clearance") == sorted(
+        [
+            moved * parts * (n - 2),  # ways and cables other than their own and the lost one
+            moved,  # loose cables and the other way
+            moved * (drones - 4),  # loose cables and drones of other cables
+            moved * (drones - 3),  # cables in their last places and all others
+            drones * parts * (n - 1),  # drones that rise and cables other than their own
+            moved * 2,  # loose cables and drones that rise
+        ]
+    )
+    assert [count for check, count in counts if check == "crossing"] == [
+        moved * parts * (n - 3),  # loose cables and those without a common clasp
+        moved,  # both loose cables
+    ]
