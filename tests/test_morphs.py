@@ -37,7 +37,7 @@ def test_errors_bring_no_tracebacks_and_earlier_errors_along() -> None:
     """Where dask is imported, these are pickled, too, which exceeds the recursion limit."""
     error = _morph_or_error(START, FAR, {})
     assert isinstance(error, ho.InfeasibleError)
-    assert error.__traceback__ is error.__context__ is error.__cause__ is None
+    assert (error.__traceback__, error.__context__, error.__cause__) == (None, None, None)
 
 
 def test_invalid_arguments_are_refused() -> None:
