@@ -38,7 +38,7 @@ PUBLIC_NAMES = {
     "objects": ("Rim", "Section", "SolidObject"),
     "plan": ("Plan", "closest", "combine", "load"),
     "planners.forming": ("SwapSettings",),
-    "planners.morph.path": ("Path",),
+    "planners.path": ("Path",),
     "stages": ("route", "time"),
     "steps.flying": ("Fly",),
 }

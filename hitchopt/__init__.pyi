@@ -42,7 +42,7 @@ from hitchopt.motion.motion import Motion as Motion
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
-from hitchopt.planners.morph.path import Path as Path
+from hitchopt.planners.path import Path as Path
 from hitchopt.stages import route as route, time as time
 from hitchopt.steps.carrying import *
 from hitchopt.steps.moving import *

@@ -28,17 +28,17 @@ from hitchopt.hitch.team import Swarm, Team
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
-from hitchopt.planners.carrying.grasps import (
+from hitchopt.planners.carrying.holds import GripHold
+from hitchopt.planners.carrying.planner import tying_tension
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, best_grip
+from hitchopt.planners.carrying.straddle_planner import find_straddle
+from hitchopt.planners.grasps import (
     Heaviest,
     HoldJudge,
     hold_polygons,
     on_pillar,
     shortest_judge,
 )
-from hitchopt.planners.carrying.holds import GripHold
-from hitchopt.planners.carrying.planner import tying_tension
-from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, best_grip
-from hitchopt.planners.carrying.straddle_planner import find_straddle
 from hitchopt.steps.straddling import Tie, needed_height
 from hitchopt.values import integer, points, positive, sequence
 from hitchopt.values.fields import Key, Record, suggest_keywords, with_fields

@@ -17,7 +17,7 @@ from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.mission.solving import route_of
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.morph.morph import check_loads, check_shapes
-from hitchopt.planners.morph.path import Path
+from hitchopt.planners.path import Path
 from hitchopt.planners.timing.following import following_motion
 from hitchopt.planners.timing.profile import TimingError
 from hitchopt.steps.moving import Morph

@@ -45,8 +45,8 @@ from hitchopt.motion.retiming import (
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_world
 from hitchopt.planners.forming.stages import stage, straight_lines
-from hitchopt.planners.forming.tying import vertical_motion
 from hitchopt.planners.task import RestState, StepTask
+from hitchopt.planners.tying import vertical_motion
 from hitchopt.steps.tying import Release
 from hitchopt.storage.archive import READ_ERRORS
 from hitchopt.storage.files import (

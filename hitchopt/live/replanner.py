@@ -37,7 +37,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
 from hitchopt.planners.morph.friction import cables_of_legs
-from hitchopt.planners.morph.path import cable_along
+from hitchopt.planners.path import cable_along
 from hitchopt.planners.rests import rest_motion
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.trajectory import PiecewisePolynomial, bernstein

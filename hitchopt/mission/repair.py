@@ -50,9 +50,9 @@ from hitchopt.mission.changes import (
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED, solve_problem
 from hitchopt.motion.motion import HoldBy
-from hitchopt.planners.carrying.grasps import shortest_judge
 from hitchopt.planners.carrying.polygons import EDGE_MARGIN
 from hitchopt.planners.fitting import separating_cables
+from hitchopt.planners.grasps import shortest_judge
 from hitchopt.planners.routes import BEST_ROUTE
 from hitchopt.steps.step import Knob
 

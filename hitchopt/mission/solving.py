@@ -47,7 +47,7 @@ from hitchopt.steps.step import Step
 from hitchopt.values import Array, integer
 
 if TYPE_CHECKING:
-    from hitchopt.planners.morph.path import Path
+    from hitchopt.planners.path import Path
 
 AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
 UNPLANNED = "not checked yet: steps "  # Start of the note on steps that were not planned

@@ -5,6 +5,8 @@ A planner is a frozen record of its inputs with a ``problem``, the mathematical 
 ``GatheredApproach``, ``CarriedMove`` and ``SeparatedCurves``. The route without a search is a
 function, ``straight_path``; ``motion_along`` times every path.
 
-Steps plan from a ``StepTask`` to a ``StepPlan`` (``task``): at rest (``rests``), to the hitch at
-their end (``ends``) along certified ``routes``, with ``compensation`` of friction.
+Packages plan geometry and timing; the modules beside them decide what a step tries. A step gives
+them a ``StepTask`` and takes a ``StepPlan`` (``task``): at rest (``rests``), to the hitch at its
+end (``ends``) along certified ``routes`` with ``compensation`` of friction, ``tying`` a hitch, or
+by ``grasps`` of objects.
 """

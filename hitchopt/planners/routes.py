@@ -25,8 +25,8 @@ from hitchopt.planners.task import StepPlan, StepTask, require_certified
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, FlownAction
     from hitchopt.planners.morph.detours import Translatable
-    from hitchopt.planners.morph.path import Path
     from hitchopt.planners.optimise.cost import FlightCost
+    from hitchopt.planners.path import Path
     from hitchopt.trajectory import PiecewisePolynomial
 
 P = TypeVar("P", bound="Translatable")

@@ -24,7 +24,7 @@ from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array, Indices
 
 if TYPE_CHECKING:
-    from hitchopt.planners.morph.path import Path
+    from hitchopt.planners.path import Path
 
 
 @dataclass(frozen=True, eq=False)

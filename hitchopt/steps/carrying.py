@@ -25,7 +25,6 @@ from hitchopt.objects.placing import (
     surface_below,
 )
 from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.carrying.grasps import Closing, HoldJudge, altitude_around
 from hitchopt.planners.carrying.holds import GripHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
@@ -42,6 +41,7 @@ from hitchopt.planners.carrying.polygons import (
     rest_polygons,
 )
 from hitchopt.planners.ends import RolledLegs
+from hitchopt.planners.grasps import Closing, HoldJudge, altitude_around
 from hitchopt.planners.routes import OBSTACLE_CHECKS
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.moving import Morph, Transport

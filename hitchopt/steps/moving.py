@@ -854,7 +854,7 @@ class Transport(NonstopStep):
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
         from hitchopt.planners.morph.morph import check_loads
-        from hitchopt.planners.morph.path import RigidPath
+        from hitchopt.planners.path import RigidPath
         from hitchopt.planners.timing.timed_motion import motion_along
 
         path = RigidPath(task.hitch, np.asarray(self.to), self.yaw)

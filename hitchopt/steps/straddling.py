@@ -21,8 +21,8 @@ from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import MovePlanner, check_pull, tying_tension
 from hitchopt.planners.carrying.polygons import grip_clasps
-from hitchopt.planners.forming.tying import approach_motion
 from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.planners.tying import approach_motion
 from hitchopt.steps.step import (
     ALTITUDE_CHECKS,
     Knob,

@@ -18,15 +18,15 @@ from hitchopt.hitch.team import MAX_ROBOTS, Assignment
 from hitchopt.motion.motion import CableState, Phase
 from hitchopt.planners.candidates import first_certified
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.tying import (
+from hitchopt.planners.rests import check_at_rest
+from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence
+from hitchopt.planners.tying import (
     end_of_form,
     flight_over,
     holding_assignment,
     tyings,
     untyings,
 )
-from hitchopt.planners.rests import check_at_rest
-from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence
 from hitchopt.steps.step import (
     AUTO,
     INDEX,

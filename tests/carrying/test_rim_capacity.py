@@ -12,15 +12,15 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim, Section
 from hitchopt.outline_fit import fit
-from hitchopt.planners.carrying.grasps import (
+from hitchopt.planners.carrying.holds import RestHold
+from hitchopt.planners.carrying.moves import Move, SmoothLaw
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN
+from hitchopt.planners.grasps import (
     MASS_RESOLUTION,
     HoldJudge,
     hold_polygons,
     team_for_rim,
 )
-from hitchopt.planners.carrying.holds import RestHold
-from hitchopt.planners.carrying.moves import Move, SmoothLaw
-from hitchopt.planners.carrying.polygons import EDGE_MARGIN
 from hitchopt.values import Array
 
 GAP = 0.035 + EDGE_MARGIN

@@ -10,7 +10,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.hitch.model import FlatJets, drone_jets
-from hitchopt.planners.morph.path import cable_along
+from hitchopt.planners.path import cable_along
 from hitchopt.values import Array
 
 DERIVATIVES = {"vertices": "vertex", "q_legs": "q_leg", "roll": "roll", "tensions": "tension"}

@@ -153,7 +153,7 @@ MORPH = {
     ("problem", "place"),
     [
         (FORM, "hitchopt.planners.forming.prehitch._ellipses"),
-        (FORM, "hitchopt.planners.forming.tying.rest_plan"),
+        (FORM, "hitchopt.planners.tying.rest_plan"),
         (FORM, "hitchopt.planners.forming.approach.straight_stages"),
         (MORPH, "hitchopt.planners.morph.morph.straight_path"),
         (MORPH, "hitchopt.planners.timing.timed_motion.motion_along"),

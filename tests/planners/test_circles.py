@@ -23,7 +23,7 @@ from hitchopt.planners.forming.circles import (
     CircularHitches,
     circular_polygon,
 )
-from hitchopt.planners.morph.path import Path as HitchPath
+from hitchopt.planners.path import Path as HitchPath
 from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array

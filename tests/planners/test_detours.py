@@ -13,7 +13,7 @@ import hitchopt as ho
 from hitchopt import verify
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.detours import DetourSearch
-from hitchopt.planners.morph.path import Path as HitchPath
+from hitchopt.planners.path import Path as HitchPath
 from hitchopt.values import Array
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])

@@ -18,13 +18,13 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import moves, straight_path
-from hitchopt.planners.morph.path import Path, shapes_along
 from hitchopt.planners.optimise import program, search
 from hitchopt.planners.optimise.guesses import polygon_guesses
 from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import build_program, iterates
 from hitchopt.planners.optimise.search import OptimisedMorph
 from hitchopt.planners.optimise.times import acceleration_rows, speed_rows, step_times
+from hitchopt.planners.path import Path, shapes_along
 from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.values import Array
 

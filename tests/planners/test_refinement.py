@@ -133,7 +133,7 @@ def test_casadi_and_series_state_the_same_flight(
 
 def with_last_leg(team: ho.Team, flat: FlatJets) -> FlatJets:
     """Return flat outputs of a chain whose last q-leg takes all that its edge leaves."""
-    from hitchopt.planners.morph.path import cable_along
+    from hitchopt.planners.path import cable_along
 
     slack = -cable_along(team, team.layout.edges(flat.vertices, axis=1), flat.tensions)
     slack[..., 0] += team.cable_length

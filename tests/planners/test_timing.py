@@ -18,7 +18,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import load_problem
-from hitchopt.planners.morph.path import Path
+from hitchopt.planners.path import Path
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
 from hitchopt.planners.timing.profile import (
     Demands,

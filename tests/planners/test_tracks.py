@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.planners.morph.path import LegLaw
 from hitchopt.planners.morph.tracks import eased, vertex_track
+from hitchopt.planners.path import LegLaw
 from hitchopt.trajectory import PiecewisePolynomial
 
 WILD = Path(__file__).parent / "wild"

@@ -40,7 +40,7 @@ from hitchopt.planners.forming.stages import (
     tension_stage,
 )
 from hitchopt.planners.morph.morph import check_loads
-from hitchopt.planners.morph.path import drones_along
+from hitchopt.planners.path import drones_along
 from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.values import Array, Indices
 

@@ -32,7 +32,8 @@ from hitchopt.planners.morph.morph import (
     load_violation,
     shape_violation,
 )
-from hitchopt.planners.morph.path import (
+from hitchopt.planners.morph.tracks import eased, spline_through, vertex_track
+from hitchopt.planners.path import (
     LegLaw,
     Path,
     drones_along,
@@ -40,7 +41,6 @@ from hitchopt.planners.morph.path import (
     roll_between,
     shapes_along,
 )
-from hitchopt.planners.morph.tracks import eased, spline_through, vertex_track
 from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MAX_PIECES,

@@ -23,7 +23,7 @@ from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Layout
 from hitchopt.objects import Slab
-from hitchopt.planners.morph.path import FlatPath, drones_along
+from hitchopt.planners.path import FlatPath, drones_along
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import summed
 from hitchopt.trajectory.splines import bspline, evenly_interpolated

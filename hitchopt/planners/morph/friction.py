@@ -29,7 +29,7 @@ from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.series import JET, chained, product
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.path import cable_along
+from hitchopt.planners.path import cable_along
 from hitchopt.planners.timing.timed_motion import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import divided, on_breaks

@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
-from hitchopt.planners.morph.path import LegLaw, Path, Shapes, drones_along, shapes_along
+from hitchopt.planners.path import LegLaw, Path, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.profile import demands_along, flight_estimate, flight_estimates
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks

@@ -16,7 +16,7 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import with_legs_clear
-from hitchopt.planners.morph.path import FlatPath, LegLaw, Path, drones_along, shapes_along
+from hitchopt.planners.path import FlatPath, LegLaw, Path, drones_along, shapes_along
 from hitchopt.planners.timing.profile import demands_along, hover_violation, path_grid
 from hitchopt.planners.timing.timed_motion import GRID, motion_along
 from hitchopt.trajectory import PiecewisePolynomial

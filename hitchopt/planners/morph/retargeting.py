@@ -10,7 +10,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import fitted_hitch
-from hitchopt.planners.morph.path import EvenSamples, LegLaw, Path
+from hitchopt.planners.path import EvenSamples, LegLaw, Path
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

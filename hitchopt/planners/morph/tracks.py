@@ -15,7 +15,7 @@ import numpy as np
 from hitchopt.errors import check_time
 from hitchopt.hitch.model import drone_jets
 from hitchopt.hitch.requirements import Limits
-from hitchopt.planners.morph.path import Path
+from hitchopt.planners.path import Path
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array

@@ -16,9 +16,9 @@ import scipy.sparse as sp
 from hitchopt.errors import InputError, RequestError
 from hitchopt.hitch import Team
 from hitchopt.hitch.casadi_model import CostFunction, model
-from hitchopt.planners.morph.path import Path
 from hitchopt.planners.optimise.knots import KnotPath, QuadraticTerms
 from hitchopt.planners.optimise.parts import Columns
+from hitchopt.planners.path import Path
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array
 

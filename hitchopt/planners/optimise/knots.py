@@ -23,7 +23,7 @@ from hitchopt.hitch.forces import (
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
-from hitchopt.planners.morph.path import LegLaw, Path, shapes_of
+from hitchopt.planners.path import LegLaw, Path, shapes_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import evenly_interpolated
 from hitchopt.values import Array, Indices

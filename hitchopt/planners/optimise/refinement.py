@@ -33,7 +33,6 @@ from hitchopt.hitch.series import JET, chained
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.morph import shape_violation
-from hitchopt.planners.morph.path import LegLaw, Path
 from hitchopt.planners.optimise.cost import (
     MOTION_JET,
     Expansion,
@@ -56,6 +55,7 @@ from hitchopt.planners.optimise.shape_rows import (
     ShapeBlock,
     scattered,
 )
+from hitchopt.planners.path import LegLaw, Path
 from hitchopt.planners.timing.clock import Clock, ClockedPath
 from hitchopt.planners.timing.profile import LIMIT_SHARE, Demands, TimingError
 from hitchopt.planners.timing.timed_motion import (

@@ -23,7 +23,6 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.legs import legs_clear, with_legs_clear
 from hitchopt.planners.morph.morph import load_violation, shape_violation
-from hitchopt.planners.morph.path import Path
 from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.planners.optimise.guesses import (
     STRAIGHT,
@@ -35,6 +34,7 @@ from hitchopt.planners.optimise.guesses import (
 )
 from hitchopt.planners.optimise.knots import Judge, KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
+from hitchopt.planners.path import Path
 from hitchopt.planners.timing.profile import (
     LIMIT_SHARE,
     demands_along,

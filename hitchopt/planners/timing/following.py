@@ -11,7 +11,7 @@ from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.hitch.model import drone_jets
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.path import Path
+from hitchopt.planners.path import Path
 from hitchopt.planners.timing.timed_motion import (
     fastest_motion,
     motion_by,

@@ -23,7 +23,7 @@ from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.model import FlatJets, drone_jets
 from hitchopt.hitch.requirements import Limits
-from hitchopt.planners.morph.path import FlatPath
+from hitchopt.planners.path import FlatPath
 from hitchopt.values import Array, Indices
 
 LIMIT_SHARE = 0.999

@@ -21,7 +21,7 @@ from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.series import chained
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.path import FlatPath, Path, path_jets
+from hitchopt.planners.path import FlatPath, Path, path_jets
 from hitchopt.planners.timing.clock import Clock, even_clock, first_clock, jerk_limited
 from hitchopt.planners.timing.profile import (
     FINAL_SHARE,

@@ -435,7 +435,7 @@ def vertical_motion(
     hitch: Hitch, altitude: float, requirements: Requirements, phase: Phase
 ) -> Motion:
     """Return the motion of a hitch straight up or down; it sets the end of ``phase``."""
-    from hitchopt.planners.morph.path import RigidPath
+    from hitchopt.planners.path import RigidPath
     from hitchopt.planners.timing.timed_motion import motion_along
 
     path = RigidPath(hitch, np.append(hitch.polygon.centroid, altitude), 0.0)
