@@ -38,9 +38,9 @@ from hitchopt.mission.teams import CertifiedFlight, schedule_teams
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.candidates import Effort
-from hitchopt.planners.compensation import with_settling
 from hitchopt.planners.ends import split_hitch
 from hitchopt.planners.rests import check_at_rest, check_start
+from hitchopt.planners.settling import with_settling
 from hitchopt.planners.task import RestState, StepPlan, StepTask
 from hitchopt.steps.moving import NonstopStep, plan_blended
 from hitchopt.steps.step import Step

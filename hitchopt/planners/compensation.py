@@ -6,10 +6,8 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from hitchopt.checks.violations import infeasible_error
-from hitchopt.motion.motion import SETTLE, Phase, concatenated
+from hitchopt.motion.motion import Phase
 from hitchopt.planners.rests import IDLE, rest_motion
 from hitchopt.planners.task import StepPlan, StepTask
 
@@ -21,9 +19,6 @@ FULL_SHARE = 0.99
 
 MAX_SLOWDOWN = 1.5
 """Maximum ratio of a step's duration with friction feed-forward to that without."""
-
-MIN_SLIDE = 1e-3
-"""[m] Change of leg lengths below which a step ends without settling."""
 
 NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
@@ -67,29 +62,6 @@ def compensated(plan: StepPlan, *, timed: bool) -> Compensated:
         if leaning.certificate.certified:
             return Compensated(leaning, share)
     return Compensated(plan.with_remark(NOT_COMPENSATED), 0.0)
-
-
-def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) -> StepPlan:
-    """Return the plan with swings at its end that remove the hysteresis of cables that slid.
-
-    ``settle`` is ``Step.settling`` of its last step. If limits bind, automatic swings are omitted,
-    and swings of a prescribed duration [s] raise InfeasibleError.
-    """
-    hitch = plan.after.hitch
-    if settle is False or hitch is None or hitch.team.cable_friction == 0.0:
-        return plan
-    was_tied = task.before.hitch is None
-    largest_slide = np.max(np.ptp(plan.motion.legs.coefficients, axis=(0, -1)))
-    if not was_tied and largest_slide < MIN_SLIDE:
-        return plan
-    seconds = settle if isinstance(settle, float) else None
-    settling = settling_plan(
-        task.within(task.requirements, plan.after),
-        seconds,
-        Phase(SETTLE, plan.motion.phases[-1].step, 0.0, 0.0),
-        required=seconds is not None,
-    )
-    return replace(plan, motion=concatenated([plan.motion, settling.motion]))
 
 
 def settling_plan(

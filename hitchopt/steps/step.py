@@ -130,8 +130,9 @@ def _turn_angle(key: str, value: object) -> float:
 TURN = replace(quantity("rad", (-MAX_YAW, MAX_YAW), (-MAX_YAW, MAX_YAW)), check=_turn_angle)
 AUTO_SECONDS = either(words(AUTO), DURATION)
 SETTLE_TEXT = (
-    "Duration of the swings that end the step where cables slid against friction, added to its "
-    "duration; auto: as far as limits allow; or false"
+    "Where cables slid against friction, the step ends with motions that remove its hysteresis, "
+    "added to its duration; auto: vertices that moved over-travel, or drones swing; a duration: "
+    "drones swing for it; or false"
 )
 
 Seconds = Annotated[
@@ -372,7 +373,7 @@ class Step(Record, ABC):
 
     @property
     def settling(self) -> float | Literal["auto", False]:
-        """Duration of the swings at its end [s], ``auto``, or False for none."""
+        """Duration of the swings at its end [s], ``auto``, or False for no settling."""
         return getattr(self, "settle", False)
 
     def resolved_for(self, team: Team) -> Self:

@@ -82,12 +82,13 @@ class Step(NamedTuple):
 
     @property
     def swings(self) -> list[dict[str, Any]]:
-        """Phases in which drones swing and no vertex moves."""
+        """Phases in which clasps settle: drones swing, or vertices return to where they rest."""
         p, found = self.p, list[dict[str, Any]]()
         for phase in self.phases:
             on = (p.breaks[:-1] > phase["start"] - CLOSE) & (p.breaks[1:] < phase["end"] + CLOSE)
-            moved = np.ptp(p.points.c[0][on][:, p.V], axis=(0, -1)) if np.any(on) else 1.0
-            if phase["name"] == "settle" and not np.any(moved > CLOSE):
+            vertices = p.points.c[0][on][:, p.V]
+            moved = vertices[-1, ..., -1] - vertices[0, ..., 0] if np.any(on) else np.inf
+            if phase["name"] == "settle" and np.all(np.abs(moved) <= CLOSE):
                 found.append(phase)
         return found
 
