@@ -8,9 +8,10 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from clocks import Clock
 from hypothesis import settings
-from plans import FOLDER, digest
+
+from tests.helpers.clocks import Clock
+from tests.helpers.plans import FOLDER, digest
 
 # A busy machine is no failure, and every run tries the same examples.
 settings.register_profile("hitchopt", deadline=None, derandomize=True, print_blob=True)

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
+from tests.helpers.plans import planned
 
 
 def arrays_of(value: Any) -> Iterator[Array]:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import PROBLEMS, planned
 
 from benchmarks import corpus
 from hitchopt.trajectory import bernstein
+from tests.helpers.plans import PROBLEMS, planned
 
 
 def store(folder: Path, data: dict[str, Any], curves: corpus.Curves) -> Path:

@@ -33,7 +33,6 @@ from generators.schema_page import write_schema_page
 from generators.script_page import SCRIPTS, write_script_page
 from generators.steps_page import write_steps_page
 from matplotlib import rc_context
-from plans import PROBLEMS, ROOT
 from ruamel.yaml import YAML
 
 import hitchopt as ho
@@ -45,6 +44,7 @@ from hitchopt.lab.sweeps.study import STUDY, StudyKeys
 from hitchopt.mission.loading import problem_schema
 from hitchopt.storage.interrupts import EXIT_INTERRUPTED
 from hitchopt.values.fields import keys_of
+from tests.helpers.plans import PROBLEMS, ROOT
 
 FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 ALL_HOLD = re.compile(r"\b(\d+) of \1 limits hold")

@@ -14,13 +14,13 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from plans import ROOT
 
 import hitchopt
 from benchmarks.mutations import MUTATIONS
 from hitchopt.errors import Violation
 from hitchopt.lab.simulation.world import InvalidRunError
 from hitchopt.steps import STEPS
+from tests.helpers.plans import ROOT
 
 PACKAGE = Path(hitchopt.__file__).parent
 

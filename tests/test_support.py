@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 from generators.support_page import write_support_page
-from plans import PROBLEMS, ROOT, planned
 
 import hitchopt as ho
 from hitchopt.errors import HitchoptError
@@ -34,6 +33,7 @@ from hitchopt.steps.carrying import object_of
 from hitchopt.steps.tying import check_rollable
 from hitchopt.support import REFUSALS, Feature, Neighbour
 from hitchopt.view.editing import Editing
+from tests.helpers.plans import PROBLEMS, ROOT, planned
 
 DIRECT = {
     "errors.py": "optional packages",

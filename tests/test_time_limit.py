@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clocks import Clock
-from plans import PROBLEMS, planned
-from refusing_steps import NEEDED_SPEED, brittle_problem
 
 import hitchopt as ho
 from hitchopt.errors import Progress, TimeIsUp, TimeLimitError, check_time, time_left, time_limit
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.steps import STEP_KINDS
+from tests.helpers.clocks import Clock
+from tests.helpers.plans import PROBLEMS, planned
+from tests.helpers.refusing_steps import NEEDED_SPEED, brittle_problem
 
 
 def wait(seconds: float, *progress: Progress) -> None:

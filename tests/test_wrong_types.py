@@ -14,8 +14,6 @@ import numpy as np
 import pandas
 import pytest
 from click.testing import CliRunner
-from plans import PROBLEMS
-from refusals import Refusal, assert_refused
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -32,6 +30,8 @@ from hitchopt.steps.tying import Form
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values.fields import EMPTY, keys_of
+from tests.helpers.plans import PROBLEMS
+from tests.helpers.refusals import Refusal, assert_refused
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 Q = [[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]]

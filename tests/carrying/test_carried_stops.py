@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carried_plans import TO, check, plan, tray
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -22,6 +21,7 @@ from hitchopt.motion.retiming import on_clock
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.values import Array
 from hitchopt.verify import driver
+from tests.helpers.carried_plans import TO, check, plan, tray
 
 KINDS = ["tray", "drum"]
 

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import DRUM, RADIUS, check, drum, lifted, moved, plan, slipped, with_body
-from clasp_balance import unit
 from scipy.optimize import brentq
 
 import hitchopt as ho
@@ -33,6 +31,18 @@ from hitchopt.planners.carrying.planner import check_opens
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 from hitchopt.verify.objects import gripped
+from tests.helpers.carried_plans import (
+    DRUM,
+    RADIUS,
+    check,
+    drum,
+    lifted,
+    moved,
+    plan,
+    slipped,
+    with_body,
+)
+from tests.helpers.clasp_balance import unit
 
 OBJECTS = ["drum", pytest.param("stone", marks=pytest.mark.slow)]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import carried_plans as plans
 import numpy as np
 import pytest
 
 import hitchopt as ho
 from hitchopt.objects.placing import footing
 from hitchopt.planners.carrying.moves import SmoothLaw
+from tests.helpers import carried_plans as plans
 
 
 def hold(

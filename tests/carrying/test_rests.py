@@ -9,9 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import MASS, TO, check, lifted, moved, plan, slipped, with_body
-from clasp_balance import unit
-from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF, certify, merged
@@ -24,6 +21,9 @@ from hitchopt.planners.carrying.holds import MAX_REST_ACCELERATION
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
+from tests.helpers.carried_plans import MASS, TO, check, lifted, moved, plan, slipped, with_body
+from tests.helpers.clasp_balance import unit
+from tests.helpers.plans import PROBLEMS, planned
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carried_plans import check, plan, with_body
-from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify
@@ -16,6 +14,8 @@ from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects import Rim, Section
 from hitchopt.verify.objects import clear_held
+from tests.helpers.carried_plans import check, plan, with_body
+from tests.helpers.plans import planned
 
 STEPS = np.linspace(0.0, 1.0, 401)[:, None]
 RESOLUTION = 3e-4

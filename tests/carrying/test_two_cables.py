@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from groups import part
-from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify
@@ -38,6 +36,8 @@ from hitchopt.planners.carrying.straddle_planner import BESIDE, find_straddle
 from hitchopt.steps.straddling import EDGE, PREFERRED_HINGE, Tie, needed_height
 from hitchopt.values import Array
 from hitchopt.verify import objects
+from tests.helpers.groups import part
+from tests.helpers.plans import planned
 
 DRUM: dict[str, Any] = {"circle": 0.12, "to": 0.4, "mass": 0.08, "friction": 0.5}
 AT = [0.4, -0.3, 0.0]

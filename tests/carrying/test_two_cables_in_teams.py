@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import planned, planned_of
-from second_opinions import opinion_of
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects.placing import REST_DRIFT
+from tests.helpers.plans import planned, planned_of
+from tests.helpers.second_opinions import opinion_of
 
 CABLES = {"robots": 2, "cable_length": 2.4, "cable_density": 0.005, "tension": 1.0}
 DRUM = {"circle": 0.12, "to": 0.4, "mass": 0.08, "friction": 0.5, "at": [0, 0, 0]}

@@ -7,9 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from by_hand import segment_to_segment
-from groups import moved
-from motions import free_motion, lines, random_flight, random_motion
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify
@@ -22,6 +19,9 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import shifted
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.by_hand import segment_to_segment
+from tests.helpers.groups import moved
+from tests.helpers.motions import free_motion, lines, random_flight, random_motion
 
 SEPARATION = Separation(radius=0.11, height=0.3)
 

@@ -8,10 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from by_hand import Samples, cable_points, clasped_outlines, hull_gaps, point_to_segment
-from motions import free_motion, random_flight, row, through
-from plans import planned
-from second_opinions import opinion_of, violated
 
 import hitchopt as ho
 from hitchopt.checks.across import check_across
@@ -26,6 +22,16 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
 from hitchopt.verify import objects, teams, tying
+from tests.helpers.by_hand import (
+    Samples,
+    cable_points,
+    clasped_outlines,
+    hull_gaps,
+    point_to_segment,
+)
+from tests.helpers.motions import free_motion, random_flight, row, through
+from tests.helpers.plans import planned
+from tests.helpers.second_opinions import opinion_of, violated
 
 DEEP = ho.Arena([-50.0, -50.0, -20.0], [50.0, 50.0, 20.0])
 TYING = ("tie_carry_untie", "form_square", "lay_triangle")

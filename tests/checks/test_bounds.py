@@ -8,8 +8,15 @@ from functools import partial
 
 import numpy as np
 import pytest
-from by_hand import assert_sound, cable_points, point_to_segment
-from motions import (
+
+from hitchopt.checks.hanging import chains
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch import Team
+from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from tests.helpers.by_hand import assert_sound, cable_points, point_to_segment
+from tests.helpers.motions import (
     ARENA,
     SQUARE,
     added,
@@ -32,13 +39,6 @@ from motions import (
     triangle,
     wild_motion,
 )
-
-from hitchopt.checks.hanging import chains
-from hitchopt.geometry.vectors import unit
-from hitchopt.hitch import Team
-from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
-from hitchopt.motion.motion import CableState, Motion
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 TURNING = Limits(body_rate=1.0)
 HELD = {"equilibrium": 1.5e-3, "cable_length": 1e-6}

@@ -7,14 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from motions import altered, free_motion, plus, row, through
-from plans import planned
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import RULES
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.retiming import cut, padded
+from tests.helpers.motions import altered, free_motion, plus, row, through
+from tests.helpers.plans import planned
 
 TYING = ("tie_carry_untie", "form_triangle")
 CABLES = tuple(state for state in CableState if state is not CableState.NONE)

@@ -13,7 +13,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from motions import (
+from numpy.typing import ArrayLike
+
+import hitchopt as ho
+from hitchopt.checks import Certificate, Check, certify, merged
+from hitchopt.checks.registry import QUANTITIES, RULES
+from hitchopt.checks.rule import approach
+from hitchopt.hitch import Team
+from hitchopt.hitch.pairs import FIXED
+from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
+from hitchopt.live.lost import LAND_RULES
+from hitchopt.mission.solving import WIDENED
+from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.planners.rests import rest_plan
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+from hitchopt.values.fields import keys_of
+from tests.helpers.motions import (
     ARENA,
     TRIANGLE,
     altered,
@@ -31,22 +47,6 @@ from motions import (
     triangle,
     with_parts,
 )
-from numpy.typing import ArrayLike
-
-import hitchopt as ho
-from hitchopt.checks import Certificate, Check, certify, merged
-from hitchopt.checks.registry import QUANTITIES, RULES
-from hitchopt.checks.rule import approach
-from hitchopt.hitch import Team
-from hitchopt.hitch.pairs import FIXED
-from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
-from hitchopt.live.lost import LAND_RULES
-from hitchopt.mission.solving import WIDENED
-from hitchopt.motion.motion import Motion, concatenated
-from hitchopt.planners.rests import rest_plan
-from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
-from hitchopt.values.fields import keys_of
 
 TABLE: dict[str, tuple[str, float | None]] = {
     "separation": ("min", 1.0),

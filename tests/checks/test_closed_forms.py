@@ -10,24 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from by_hand import off_prism, sampled
-from motions import (
-    TRIANGLE,
-    added,
-    altered,
-    bent,
-    chain_motion,
-    held_at,
-    lines,
-    outlined,
-    plus,
-    random_chain,
-    replaced,
-    row,
-    still,
-    triangle,
-)
-from refusals import assert_refused
 
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.registry import RULE_OF, below_ground
@@ -43,6 +25,24 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.by_hand import off_prism, sampled
+from tests.helpers.motions import (
+    TRIANGLE,
+    added,
+    altered,
+    bent,
+    chain_motion,
+    held_at,
+    lines,
+    outlined,
+    plus,
+    random_chain,
+    replaced,
+    row,
+    still,
+    triangle,
+)
+from tests.helpers.refusals import assert_refused
 
 LEGS = [0.35, 0.5, 0.45]
 

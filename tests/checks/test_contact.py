@@ -9,9 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from motions import altered, row, smooth_step, still
-from second_opinions import Rows, opinion_of
-from test_interlacing import stages_of, wrong
 
 from hitchopt.checks import certify, clasps
 from hitchopt.cli import main
@@ -25,6 +22,9 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 from hitchopt.verify import cables, links
+from tests.helpers.motions import altered, row, smooth_step, still
+from tests.helpers.second_opinions import Rows, opinion_of
+from tests.helpers.swaps import stages_of, wrong
 
 OUTLINE = np.array([[-0.4, 0.9], [1.0, 0.9], [1.0, -0.5], [-0.4, -0.5]])
 LEGS = np.array([0.36, 0.64, 0.5, 0.5])  # q_1 and r_0 keep off each other where they pass

@@ -9,9 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from custom_rules import leg_angle
-from groups import two_hitches
-from motions import (
+
+import hitchopt as ho
+from hitchopt.checks import CertificateError
+from hitchopt.trajectory.enclosed import Enclosed
+from hitchopt.values import Array
+from tests.helpers.custom_rules import leg_angle
+from tests.helpers.groups import two_hitches
+from tests.helpers.motions import (
     lines,
     loaded_motion,
     moving,
@@ -22,12 +27,7 @@ from motions import (
     triangle,
     wild_motion,
 )
-from plans import planned
-
-import hitchopt as ho
-from hitchopt.checks import CertificateError
-from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.values import Array
+from tests.helpers.plans import planned
 
 CAMERA = np.array([1.5, -2.0, 2.5])  # [m]
 AXIS = np.array([0.6, 0.0, 0.8])

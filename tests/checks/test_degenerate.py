@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from motions import altered, random_motion, with_parts
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.motions import altered, random_motion, with_parts
 
 MOTION = random_motion(4, 3)
 OWN = MOTION.vertices.coefficients[:, 2]

@@ -7,10 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from by_hand import cable_points
-from groups import moved, part
-from motions import TRIANGLE, lines, random_motion, row, still
-from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify
@@ -25,6 +21,10 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.planners.schedule import SampledPath, slacks
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.by_hand import cable_points
+from tests.helpers.groups import moved, part
+from tests.helpers.motions import TRIANGLE, lines, random_motion, row, still
+from tests.helpers.plans import planned
 
 SEPARATION = Separation(radius=0.11, height=0.29)
 BOX = ho.Section([[0.0, 0.1], [0.3, 0.1], [0.3, -0.1], [0.0, -0.1]])

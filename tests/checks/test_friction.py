@@ -8,14 +8,14 @@ from itertools import product
 
 import numpy as np
 import pytest
-from by_hand import Samples, assert_sound, sampled, slides
-from motions import SQUARE, altered, plus, row
 
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array
+from tests.helpers.by_hand import Samples, assert_sound, sampled, slides
+from tests.helpers.motions import SQUARE, altered, plus, row
 
 FORCES = frozenset({"equilibrium", "tilt", "thrust"})
 

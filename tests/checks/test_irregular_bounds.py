@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from by_hand import assert_sound
 
 import hitchopt as ho
 from problems.random_morph import irregular_pairs
+from tests.helpers.by_hand import assert_sound
 
 PAIRS = irregular_pairs()
 FAST = {1, 33}

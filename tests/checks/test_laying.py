@@ -10,10 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from by_hand import point_to_segment, segment_to_segment
-from motions import altered, plus, row
-from second_opinions import Rows, opinion_of
-from test_interlacing import stages_of as swaps_of
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -35,6 +31,10 @@ from hitchopt.planners.forming.laying import (
 )
 from hitchopt.planners.forming.stages import reversed_stages, stage, straight_lines
 from hitchopt.verify import links
+from tests.helpers.by_hand import point_to_segment, segment_to_segment
+from tests.helpers.motions import altered, plus, row
+from tests.helpers.second_opinions import Rows, opinion_of
+from tests.helpers.swaps import stages_of as swaps_of
 
 SPEC = Requirements()
 RINGS = {3: (1.3, 2.3), 6: (1.0, 1.9)}

@@ -7,13 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from groups import part
-from motions import row
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array
+from tests.helpers.groups import part
+from tests.helpers.motions import row
+from tests.helpers.plans import planned
 
 POT = "pot"
 ENTRY = 1e-3  # [m] Depth of entry below which samples and bounds need not agree

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from by_hand import own_cable_distance
-from motions import free_motion, random_flight, row
 
 import hitchopt as ho
 from hitchopt import verify
@@ -18,6 +16,8 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.by_hand import own_cable_distance
+from tests.helpers.motions import free_motion, random_flight, row
 
 
 def turned(angle: float) -> Array:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from motions import replaced
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -22,6 +21,7 @@ from hitchopt.motion.retiming import truncated
 from hitchopt.motion.states import states_at
 from hitchopt.steps.moving import MoveVertex, Transport
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
+from tests.helpers.motions import replaced
 
 SQUARE = np.array([[-0.7, -0.7], [-0.7, 0.7], [0.7, 0.7], [0.7, -0.7]]) + [2.0, -1.0]
 

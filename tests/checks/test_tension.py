@@ -8,9 +8,6 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
-from by_hand import assert_sound, thrusts
-from motions import SQUARE, altered, moving, plus, replaced, row, still
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.hitch import Team
@@ -19,6 +16,9 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, Indices
+from tests.helpers.by_hand import assert_sound, thrusts
+from tests.helpers.motions import SQUARE, altered, moving, plus, replaced, row, still
+from tests.helpers.plans import planned
 
 DENSITY = 0.008
 TEAM = Team(4, [2.9, 2.8, 2.7, 3.0], tension=0.4)

@@ -11,22 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from by_hand import cable_points, ratios, sampled, tracking_radius
-from groups import part
-from motions import (
-    ARENA,
-    free_motion,
-    lines,
-    random_curves,
-    random_flight,
-    random_motion,
-    row,
-    single,
-    still,
-)
-from plans import planned
-from refusals import assert_refused
-from second_opinions import opinion_of
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify, tracking
@@ -41,6 +25,22 @@ from hitchopt.motion.motion import Motion
 from hitchopt.objects import Section
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.by_hand import cable_points, ratios, sampled, tracking_radius
+from tests.helpers.groups import part
+from tests.helpers.motions import (
+    ARENA,
+    free_motion,
+    lines,
+    random_curves,
+    random_flight,
+    random_motion,
+    row,
+    single,
+    still,
+)
+from tests.helpers.plans import planned
+from tests.helpers.refusals import assert_refused
+from tests.helpers.second_opinions import opinion_of
 
 
 def radius_of(motion: Motion, gamma: float = 1.0) -> Check:

@@ -11,10 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from groups import moved, part
-from motions import lines
-from plans import planned
-from second_opinions import opinion_of, violated
 
 from hitchopt.checks.across import check_across
 from hitchopt.checks.registry import RULE_OF
@@ -26,6 +22,10 @@ from hitchopt.motion.motion import TAUT_STATES, Motion
 from hitchopt.motion.retiming import shifted
 from hitchopt.values import Array
 from hitchopt.verify import teams
+from tests.helpers.groups import moved, part
+from tests.helpers.motions import lines
+from tests.helpers.plans import planned
+from tests.helpers.second_opinions import opinion_of, violated
 
 WIDE = Separation(radius=0.05, height=0.1, cable=0.2, crossing=0.06)
 """Distances with which cables, not the object below them, keep drones off."""

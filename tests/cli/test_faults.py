@@ -7,14 +7,14 @@ import sys
 from pathlib import Path
 
 import pytest
-from commands import TRIANGLE, run
-from plans import planned
-from refusing_steps import NEEDED_SPEED, brittle_problem, problem_of, refusal
 
 import hitchopt as ho
 from hitchopt.errors import FaultWarning
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.moving import Hold
+from tests.helpers.commands import TRIANGLE, run
+from tests.helpers.plans import planned
+from tests.helpers.refusing_steps import NEEDED_SPEED, brittle_problem, problem_of, refusal
 
 pytestmark = pytest.mark.filterwarnings("always::hitchopt.errors.FaultWarning")
 

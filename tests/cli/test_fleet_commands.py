@@ -8,11 +8,11 @@ import re
 from pathlib import Path
 
 import pytest
-from commands import run
 
 import hitchopt as ho
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.plan_file import write_plan
+from tests.helpers.commands import run
 
 pytestmark = pytest.mark.usefixtures("place")
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from commands import TRIANGLE, refused, run
-from plans import PROBLEMS
 
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.cli.output import echo
 from hitchopt.exports.options import ENDINGS
 from hitchopt.storage.yaml_file import MAX_KEYS
+from tests.helpers.commands import TRIANGLE, refused, run
+from tests.helpers.plans import PROBLEMS
 
 if os.name == "nt":
     pytest.skip("Windows has no pipes in the file system", allow_module_level=True)

@@ -11,7 +11,6 @@ from typing import Any
 import click
 import numpy as np
 import pytest
-from commands import run
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -22,6 +21,7 @@ from hitchopt.lab.statics.files import statics_content
 from hitchopt.lab.statics.tolerance import ErrorSize
 from hitchopt.storage.files import strict_json
 from hitchopt.storage.yaml_file import parse_yaml
+from tests.helpers.commands import run
 
 pytestmark = pytest.mark.usefixtures("place")
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from baseline import SWARMS, differences
-from clocks import Clock
-from commands import TRIANGLE, refused, run
-from plans import GOOD, INFEASIBLE, ROOT, header, planned
 
 from hitchopt.errors import FileError
 from hitchopt.storage.yaml_file import read_yaml
+from tests.helpers.baseline import SWARMS, differences
+from tests.helpers.clocks import Clock
+from tests.helpers.commands import TRIANGLE, refused, run
+from tests.helpers.plans import GOOD, INFEASIBLE, ROOT, header, planned
 
 pytestmark = pytest.mark.usefixtures("place")
 

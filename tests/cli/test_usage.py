@@ -18,8 +18,6 @@ from typing import Any
 import click
 import pytest
 from click.testing import CliRunner
-from commands import TRIANGLE, refused, run, started, strict
-from plans import BAD, ROOT
 
 import hitchopt as ho
 from hitchopt.checks import CertificateError
@@ -38,6 +36,8 @@ from hitchopt.motion.motion import Phase
 from hitchopt.storage import interrupts
 from hitchopt.storage.yaml_file import parse_yaml, with_value
 from hitchopt.tables import table
+from tests.helpers.commands import TRIANGLE, refused, run, started, strict
+from tests.helpers.plans import BAD, ROOT
 
 pytestmark = pytest.mark.usefixtures("place")
 

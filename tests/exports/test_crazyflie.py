@@ -22,17 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cflib.crazyflie.mem.trajectory_memory import CompressedSegment, CompressedStart, Poly4D
-from exported_plans import (
-    Array,
-    exported,
-    hitch_plan,
-    restless_plan,
-    swarm_of,
-    swarm_plan,
-)
-from format_readers import polynomials, segments
 from generators.drone_lists import write_checklist
-from plans import ROOT, planned
 from ruamel.yaml import YAML
 
 import hitchopt as ho
@@ -57,6 +47,16 @@ from hitchopt.motion.states import flight_states_at
 from hitchopt.plan import Plan
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.swarm import reversed_stack
+from tests.helpers.exported_plans import (
+    Array,
+    exported,
+    hitch_plan,
+    restless_plan,
+    swarm_of,
+    swarm_plan,
+)
+from tests.helpers.format_readers import polynomials, segments
+from tests.helpers.plans import ROOT, planned
 
 
 def test_the_bytes_are_those_of_cflib(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import Array, exported
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
@@ -24,6 +23,7 @@ from hitchopt.exports.firmware import (
     team_parameters,
 )
 from hitchopt.exports.options import HOMES
+from tests.helpers.exported_plans import Array, exported
 
 LEVEL, UPRIGHT = 0, 1
 KINDS = st.builds(

@@ -10,9 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exported_plans import exported, task_of
-from format_readers import READERS
-from groups import alone, beside, flown_by, hitch_and_swarm, moved, two_hitches
 
 import hitchopt as ho
 from hitchopt.checks import CertificateError, certify
@@ -23,6 +20,9 @@ from hitchopt.exports.held_tension import held_tension
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES
 from hitchopt.motion.states import States, flight_states_at, states_at
+from tests.helpers.exported_plans import exported, task_of
+from tests.helpers.format_readers import READERS
+from tests.helpers.groups import alone, beside, flown_by, hitch_and_swarm, moved, two_hitches
 
 MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 

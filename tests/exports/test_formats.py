@@ -17,10 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import Array, exported, hitch_plan, swarm_plan, task_of
-from format_readers import READERS, bag_messages, glb_animation, vector
 from matplotlib.colors import to_rgb
-from plans import planned
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
@@ -40,6 +37,9 @@ from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.view.style import drone_colours
+from tests.helpers.exported_plans import Array, exported, hitch_plan, swarm_plan, task_of
+from tests.helpers.format_readers import READERS, bag_messages, glb_animation, vector
+from tests.helpers.plans import planned
 
 MOTIONS = {"hitch": hitch_plan, "swarm": swarm_plan}
 

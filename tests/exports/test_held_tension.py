@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from exported_plans import reflown
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
@@ -25,6 +24,7 @@ from hitchopt.exports.verification import Flown, verify
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from tests.helpers.exported_plans import reflown
 
 SOFT = ho.Quadrotor(stiffness=4.75)
 

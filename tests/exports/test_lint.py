@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import exported, swarm_of, swarm_plan
-from refusals import memory_below
 from rosbags.rosbag2 import Writer
 
 from hitchopt.errors import FileError
@@ -27,6 +25,8 @@ from hitchopt.exports.formats.skybrush import read_show
 from hitchopt.exports.lint import Report, Rules, lint
 from hitchopt.exports.options import HOMES
 from hitchopt.hitch.requirements import Separation
+from tests.helpers.exported_plans import exported, swarm_of, swarm_plan
+from tests.helpers.refusals import memory_below
 
 Change = Callable[[Any], Any]
 """Of the text of a file, its bytes if they are no text, or the JSON files of a show by name."""

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from exported_plans import task_of
-from plans import GOOD, PROBLEMS, planned, planned_of
 from ruamel.yaml import YAML
 
 import hitchopt as ho
@@ -20,6 +18,8 @@ from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.format import ExportTask, format_of
 from hitchopt.exports.held_tension import REST_TIME, held_tension
 from hitchopt.exports.parts import cut_into_parts
+from tests.helpers.exported_plans import task_of
+from tests.helpers.plans import GOOD, PROBLEMS, planned, planned_of
 
 MISSION = "tie_carry_untie"
 

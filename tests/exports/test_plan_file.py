@@ -18,10 +18,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from exported_plans import hitch_plan, swarm_plan
-from groups import with_swarm
-from plans import PROBLEMS, planned
-from refusals import memory_below
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -38,6 +34,10 @@ from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.verify import UnreadableError, read
 from hitchopt.verify.driver import consistency
+from tests.helpers.exported_plans import hitch_plan, swarm_plan
+from tests.helpers.groups import with_swarm
+from tests.helpers.plans import PROBLEMS, planned
+from tests.helpers.refusals import memory_below
 
 TITLE = 'Ein "Dreieck", 三角 \\ – with everything'
 

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from exported_plans import exported, hitch_plan, swarm_plan
-from plans import ROOT
 
 from hitchopt.cli import main
 from hitchopt.errors import FaultWarning, FileError, InputError, UnsupportedError
@@ -22,6 +20,8 @@ from hitchopt.exports.options import GROUP, HOMES, registered_formats
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
+from tests.helpers.exported_plans import exported, hitch_plan, swarm_plan
+from tests.helpers.plans import ROOT
 
 pytestmark = pytest.mark.filterwarnings("always::hitchopt.errors.FaultWarning")
 

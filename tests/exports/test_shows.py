@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import Array, exported, hitch_plan, swarm_of, swarm_plan, task_of
-from format_readers import as_stored
 
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.format import format_of
@@ -20,6 +18,8 @@ from hitchopt.exports.formats.mavsdk import ARMING_TIME, read_tables
 from hitchopt.exports.formats.skybrush import read_show, storage_scale, stored_curve, write_show
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
+from tests.helpers.exported_plans import Array, exported, hitch_plan, swarm_of, swarm_plan, task_of
+from tests.helpers.format_readers import as_stored
 
 
 def files_of(folder: Path) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from typing import Any, NoReturn
 
 import pytest
 from click.testing import CliRunner
-from exported_plans import hitch_plan
 
 from hitchopt.checks.certificate import CertificateError, Check
 from hitchopt.checks.registry import certificate_of
@@ -35,6 +34,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import read_saved_plan
 from hitchopt.motion.states import sample_times
 from hitchopt.storage.files import Writer, digest, replace_files
+from tests.helpers.exported_plans import hitch_plan
 
 OWNED = ("plan", "table", "seal", "diagnosis")
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import PROBLEM, exported, flown_checks, hitch_plan, reflown, swarm_plan
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,6 +28,14 @@ from hitchopt.motion.states import sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
+from tests.helpers.exported_plans import (
+    PROBLEM,
+    exported,
+    flown_checks,
+    hitch_plan,
+    reflown,
+    swarm_plan,
+)
 
 PLAIN = ReferenceFrame()
 EXPORTED_LIMITS = {"cable_length": 1e-3, "arena": -1e-4, "acceleration": 2.04}

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import writers as w
 from rosbags import typesys
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +15,7 @@ import hitchopt as ho
 from hitchopt.errors import FileError
 from hitchopt.lab.flights.bags import CAPTURE, MESSAGES, OPTITRACK, POSE
 from hitchopt.values import Array
+from tests.helpers import writers as w
 
 PX4 = {
     "px4_msgs/msg/VehicleOdometry": "uint64 timestamp\nuint64 timestamp_sample\nuint8 pose_frame\n"

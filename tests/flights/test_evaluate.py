@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from plans import planned as planned_problem
-from writers import TRANSFORMS, write_bag, write_csv, write_usd
 
 import hitchopt as ho
 from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
@@ -28,6 +26,8 @@ from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
 from hitchopt.view.scene import ghost_scene, scene_at
+from tests.helpers.plans import planned as planned_problem
+from tests.helpers.writers import TRANSFORMS, write_bag, write_csv, write_usd
 
 EXACT = Camera(noise=0.0, lost=0.0, ghosts=0.0)
 

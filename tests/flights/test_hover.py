@@ -11,9 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import writers as w
 from click.testing import CliRunner
-from hovers import KD, KP, MASS, Hover, flown, random_hover
 from ruamel.yaml import YAML
 
 import hitchopt as ho
@@ -22,6 +20,8 @@ from hitchopt.errors import FileError
 from hitchopt.lab.cli import estimates  # noqa: F401, declares the command
 from hitchopt.lab.flights.hover import DroneHover, calibrate_hover
 from hitchopt.lab.flights.recordings import RecordedFlight, Signal, Track
+from tests.helpers import writers as w
+from tests.helpers.hovers import KD, KP, MASS, Hover, flown, random_hover
 
 GAINS: Any = {"mass": MASS, "kp": KP, "kd": KD}
 COVERED = math.sqrt(2.0 * math.log(20.0))  # Standard errors that hold 95 % of level distances

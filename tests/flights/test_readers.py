@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import writers as w
 
 import hitchopt as ho
 from hitchopt.errors import FileError, UnsupportedError
@@ -20,6 +19,7 @@ from hitchopt.lab.flights.logs import decompressed
 from hitchopt.lab.flights.readers import table_of
 from hitchopt.lab.flights.recordings import NO_MARKERS, RecordedFlight, Signal, Track
 from hitchopt.values import Array
+from tests.helpers import writers as w
 
 Write = Callable[[Path, RecordedFlight], Path]
 

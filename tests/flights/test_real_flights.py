@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import writers as w
-from hovers import Hover, flown
-from load_flights import carried
 
 from benchmarks import real
+from tests.helpers import writers as w
+from tests.helpers.hovers import Hover, flown
+from tests.helpers.load_flights import carried
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import writers as w
 import zstandard
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
@@ -19,6 +18,7 @@ from rosbags import rosbag2
 import hitchopt as ho
 from hitchopt.errors import FileError
 from hitchopt.lab.flights.recordings import RecordedFlight, Track
+from tests.helpers import writers as w
 
 POSE_STAMPED = """std_msgs/Header header
 geometry_msgs/Pose pose

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import writers as w
-from load_flights import carried
 from scipy.spatial.transform import Rotation
 
 from benchmarks.replay import ReplayedFilter, main, replay_filters, tilt_rms_deg
 from hitchopt.errors import FileError
 from hitchopt.lab.flights.recordings import Signal
+from tests.helpers import writers as w
+from tests.helpers.load_flights import carried
 
 
 def by_name(replays: tuple[ReplayedFilter, ...]) -> dict[tuple[str, str], ReplayedFilter]:

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clasp_balance import random_outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusals import assert_refused
 
 from hitchopt import InputError
 from hitchopt.geometry import (
@@ -21,6 +19,8 @@ from hitchopt.geometry import (
 )
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import cross, left_of, rotated, turn
+from tests.helpers.clasp_balance import random_outline
+from tests.helpers.refusals import assert_refused
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from clasp_balance import KINDS, random_hitch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +21,7 @@ from hitchopt.hitch.forces import (
     shortening,
 )
 from hitchopt.values import Array
+from tests.helpers.clasp_balance import KINDS, random_hitch
 
 seeds = st.integers(0, 2**32 - 1)
 topologies = st.sampled_from(["closed", "open"])

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clasp_balance import random_outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,6 +19,7 @@ from hitchopt.planners.ends import RolledLegs, split_hitch
 from hitchopt.steps.step import slack_split
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
+from tests.helpers.clasp_balance import random_outline
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
 KEPT: dict[str, Any] = {"limits": Limits(), "separation": Separation()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from clasp_balance import KINDS, random_hitch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +11,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.model import CLASPS_PER_CHUNK, FlatJets, drone_jets, slipping_drones
 from hitchopt.planners.morph.friction import cables_of_legs
 from hitchopt.values import Array
+from tests.helpers.clasp_balance import KINDS, random_hitch
 
 seeds = st.integers(0, 2**32 - 1)
 topologies, kinds = st.sampled_from(["closed", "open"]), st.sampled_from(KINDS)

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from plans import planned
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import InputError
@@ -20,6 +19,7 @@ from hitchopt.motion.states import states_at
 from hitchopt.planners.timing.timed_motion import in_duration
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.plans import planned
 
 BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])
 POINTS = np.array([[0.3, 0.1], [0.6, 1.4], [1.7, 0.6]])

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import Refusal, assert_refused
 
 import hitchopt as ho
 from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation
 from hitchopt.drones.quadrotor import MODELS, Quadrotor
 from hitchopt.hitch.team import Assignment, Swarm, Team
 from hitchopt.planners.forming import SwapSettings
+from tests.helpers.refusals import Refusal, assert_refused
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 HILL = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import planned, planned_of
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -27,6 +26,7 @@ from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.retiming import on_clock
 from hitchopt.trajectory import PiecewisePolynomial
+from tests.helpers.plans import planned, planned_of
 
 
 @cache

@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -19,6 +18,7 @@ from hitchopt.live.abort import Abort, Aborts, AbortTable, abort_table, read_abo
 from hitchopt.live.ahead import AbortsAhead, next_time, outcomes
 from hitchopt.live.fly import CommandedPlan
 from hitchopt.values import Array
+from tests.helpers.plans import planned
 
 EVERY = 0.5
 

@@ -6,20 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from groups import (
-    alone,
-    beside,
-    hitch_and_swarm,
-    moved,
-    two_hitches,
-)
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.live.abort import Aborts, AbortTable
 from hitchopt.live.fly import CommandedPlan
 from hitchopt.motion.states import flight_states_at
+from tests.helpers.groups import (
+    alone,
+    beside,
+    hitch_and_swarm,
+    moved,
+    two_hitches,
+)
+from tests.helpers.plans import planned
 
 MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 

@@ -9,7 +9,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.live.abort import AbortTable, abort_table
@@ -17,6 +16,7 @@ from hitchopt.live.fly import COMMANDS, LEAD, CommandedPlan, FleetSetpoints, Set
 from hitchopt.live.player import Player, Setpoints
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.plans import planned
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
 PATIENCE, LONG, STEP = 2.0, 60.0, 0.01

@@ -19,7 +19,6 @@ from unittest.mock import Mock, call
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import planned
 from pymavlink.dialects.v20 import common as mavlink
 
 import hitchopt as ho
@@ -29,6 +28,7 @@ from hitchopt.exports.firmware import team_parameters
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.live.fly import CommandedPlan, FleetSetpoints
 from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, Operator, address
+from tests.helpers.plans import planned
 
 HOME = "127.0.0.1"
 PLACE = (3.0, -2.0, 0.5), 0.7

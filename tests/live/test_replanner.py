@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -17,6 +16,7 @@ from hitchopt.motion.motion import Phase
 from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.plans import planned
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
 HEXAGON = 1.3 * np.array([[np.cos(a), np.sin(a)] for a in -np.arange(6) * np.pi / 3.0])

@@ -16,9 +16,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from plans import BAD, GOOD, INFEASIBLE, PROBLEMS, header
-from problem_cases import TEMPLATE, VALIDATOR, hitch_start, triangle
-from refusals import memory_below
 from ruamel.yaml import YAML
 
 import hitchopt as ho
@@ -34,6 +31,9 @@ from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, M
 from hitchopt.steps.tying import Form
 from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key
 from hitchopt.values.fields import keys_of
+from tests.helpers.plans import BAD, GOOD, INFEASIBLE, PROBLEMS, header
+from tests.helpers.problem_cases import TEMPLATE, VALIDATOR, hitch_start, triangle
+from tests.helpers.refusals import memory_below
 
 MINIMAL: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plans import PROBLEMS
 
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import load_problem
@@ -23,6 +22,7 @@ from hitchopt.storage.yaml_file import (
     with_entries,
     with_value,
 )
+from tests.helpers.plans import PROBLEMS
 
 # fmt: off
 SCALARS: list[tuple[str, object]] = [

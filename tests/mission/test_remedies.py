@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from plans import INFEASIBLE
 
 import hitchopt as ho
 from hitchopt.drones.controllers import stiffest_gains
@@ -21,6 +20,7 @@ from hitchopt.errors import Violation
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import AT_START, solve_problem
 from hitchopt.storage.yaml_file import read_yaml
+from tests.helpers.plans import INFEASIBLE
 
 SIZES = (0.03, 0.3, 1.0, 3.0)
 """Relative sizes of edits, or sizes in metres; larger ones are tried where nothing changes."""

@@ -13,10 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clocks import Clock
-from plans import INFEASIBLE, PROBLEMS
-from problem_cases import hitch_start, triangle
-from refusing_steps import problem_of, refusal
 
 import hitchopt as ho
 from hitchopt.drones.controllers import Tube
@@ -40,6 +36,10 @@ from hitchopt.steps.moving import Hold
 from hitchopt.steps.step import Edit, altitude_knobs
 from hitchopt.storage.yaml_file import read_yaml, split_key
 from hitchopt.verify import verify
+from tests.helpers.clocks import Clock
+from tests.helpers.plans import INFEASIBLE, PROBLEMS
+from tests.helpers.problem_cases import hitch_start, triangle
+from tests.helpers.refusing_steps import problem_of, refusal
 
 
 def edited(data: Any, edits: Iterable[Edit]) -> dict[str, Any]:

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from custom_rules import leg_angle
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
+from tests.helpers.custom_rules import leg_angle
 
 TEAM = ho.Team(robots=3, cable_length=[2.4, 2.5, 2.3])
 START = ho.Hitch.spread(TEAM, [[2.0, -1.5], [1.6, -0.5], [2.4, -0.5]])

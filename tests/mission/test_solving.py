@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import PROBLEMS, planned
-from problem_cases import hitch_start
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
@@ -18,6 +16,8 @@ from hitchopt.steps.moving import Morph
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.values import Array
 from problems.random_morph import random_morph
+from tests.helpers.plans import PROBLEMS, planned
+from tests.helpers.problem_cases import hitch_start
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 PULLED_IN = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import PROBLEMS, header
-from problem_cases import VALIDATOR
 
 import hitchopt as ho
 from hitchopt.mission.loading import load_problem, problem_from_dict
 from hitchopt.steps.flying import flyable_accelerations
 from hitchopt.steps.moving import Hold
 from hitchopt.storage.yaml_file import read_yaml
+from tests.helpers.plans import PROBLEMS, header
+from tests.helpers.problem_cases import VALIDATOR
 
 SWARMS = PROBLEMS / "swarms"
 INFEASIBLE = sorted((SWARMS / "infeasible").glob("*.yaml"))

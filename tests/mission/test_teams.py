@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from benchmarks.families import past_team
@@ -20,6 +19,7 @@ from hitchopt.motion.plan_file import is_of, write_plan
 from hitchopt.motion.request import check_request
 from hitchopt.steps.moving import Hold, Transport
 from hitchopt.storage.files import digest
+from tests.helpers.plans import PROBLEMS, planned
 
 TRIANGLE = [[0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
 BLENDED = {"morph": {"polygon": TRIANGLE, "blend": True}}

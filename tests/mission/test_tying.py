@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import planned
-from second_opinions import opinion_of
 
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.hitch.team import Assignment
 from hitchopt.values import Array
+from tests.helpers.plans import planned
+from tests.helpers.second_opinions import opinion_of
 
 TEAM = ho.Team(3, 2.4)
 TRIANGLE = np.array([[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusals import Refusal, assert_refused
 from scipy.spatial import ConvexHull
 
 import hitchopt as ho
@@ -16,6 +15,7 @@ from hitchopt.motion.loads import centre_path
 from hitchopt.objects import Slab
 from hitchopt.objects.placing import check_placed, surface_below
 from hitchopt.values import Array
+from tests.helpers.refusals import Refusal, assert_refused
 
 examples = settings(max_examples=30)
 SEEDS = st.integers(0, 10_000)

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plans import PROBLEMS, planned
-from test_irregular import is_proven
 
 import hitchopt as ho
 from hitchopt.hitch import Hitch, Team
@@ -27,6 +25,8 @@ from hitchopt.planners.path import Path as HitchPath
 from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
+from tests.helpers.plans import PROBLEMS, planned
+from tests.helpers.second_opinions import is_proven
 
 WILD = sorted((Path(__file__).parent / "wild").glob("form_*.yaml"))
 

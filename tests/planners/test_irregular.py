@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt import verify
 from hitchopt.planners.optimise.guesses import MIN_EDGE_SHARE, turning_edges, turns
 from problems.random_morph import HEAVY, irregular_pairs, random_morph, wild_morph
+from tests.helpers.second_opinions import is_proven
 
 PAIRS = irregular_pairs()
 
@@ -33,12 +33,6 @@ def planned(pair: dict[str, Any]) -> ho.Plan:
     team = ho.Team(pair["n"], pair["cable_length"])
     start = ho.Hitch.spread(team, pair["start"], pair["altitude"])
     return ho.morph(start, pair["goal"])
-
-
-def is_proven(plan: ho.Plan, folder: Path) -> bool:
-    """Return whether ``hitchopt verify`` proves every limit of a plan."""
-    plan.save(folder)
-    return all(row.verdict in verify.PASSING for row in verify.verify(folder))
 
 
 @pytest.mark.parametrize("index", [33, 34])

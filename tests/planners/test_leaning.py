@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clasp_balance import unit
 
 import hitchopt as ho
 from hitchopt import verify
@@ -37,6 +36,7 @@ from hitchopt.steps.moving import (
     Transport,
 )
 from hitchopt.steps.tying import Form
+from tests.helpers.clasp_balance import unit
 
 POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
 GOAL = np.array([[2.2, 0.4], [1.2, -1.0], [0.1, -0.4], [0.45, 0.75]])

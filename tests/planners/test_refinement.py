@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from test_irregular import is_proven
 
 import hitchopt as ho
 from hitchopt.drones.quadrotor import GRAVITY
@@ -38,6 +37,7 @@ from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.trajectory.splines import bspline
 from hitchopt.values import Array
 from problems.random_morph import irregular_pairs, wild_morph
+from tests.helpers.second_opinions import is_proven
 
 PAIRS = irregular_pairs()
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt import Hitch, Limits, Separation, Team
@@ -39,6 +38,7 @@ from hitchopt.planners.timing.timed_motion import (
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values.fields import with_fields
 from problems.random_morph import irregular_pairs, random_convex_polygon
+from tests.helpers.plans import PROBLEMS, planned
 
 
 @given(st.floats(1e-3, 50.0), st.floats(0.1, 5.0), st.floats(0.2, 9.0), st.floats(0.5, 90.0))

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -27,6 +26,7 @@ from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.steps.moving import Hold
 from hitchopt.verify import verify
+from tests.helpers.plans import PROBLEMS, planned
 
 RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
 

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scripted import changed, hanging_task, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.drones.controllers import (
@@ -50,6 +49,7 @@ from hitchopt.lab.simulation.task import RATE, Commands, Task, TeamTask
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
 from hitchopt.motion.states import states_at
 from hitchopt.values import Array
+from tests.helpers.scripted import changed, hanging_task, regular_hitch, resting_task
 
 MASS, PULL = 0.132, 0.4
 EXACT = Sensors(0.0, 0.0, 0.0, 0.0, np.inf, np.inf)

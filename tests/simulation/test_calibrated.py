@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import planned
-from scripted import changed
 
 import hitchopt as ho
 from hitchopt.errors import FileError
@@ -24,6 +22,8 @@ from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import RigidBodies
+from tests.helpers.plans import planned
+from tests.helpers.scripted import changed
 
 OFF: dict[str, Any] = {
     "q0": {"trim": [0.1, 0.0], "thrust_factor": 1.1},

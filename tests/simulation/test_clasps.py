@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scripted import regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.errors import InputError
@@ -24,6 +23,7 @@ from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.lab.sweeps.campaign import Distribution, run_campaign, save_campaign
 from hitchopt.values import Array
+from tests.helpers.scripted import regular_hitch, resting_task
 
 STIFFNESS = 2000.0  # Of the springs that hold drones [N/m]
 SLIDING = Settings(cables=CLASPS, friction=0.0)

@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scripted import world_of
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -18,6 +17,7 @@ from hitchopt.lab.simulation.ropes import hanging
 from hitchopt.lab.simulation.settings import Loss, Settings
 from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.lab.simulation.world import check_valid
+from tests.helpers.scripted import world_of
 
 
 @cache

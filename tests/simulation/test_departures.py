@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scripted import changed, flight_of, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.lab.simulation.departures import MAX_TENSION_RATIO, departures
@@ -16,6 +15,7 @@ from hitchopt.lab.simulation.record import Film, SimulatedFlight
 from hitchopt.lab.simulation.settings import Loss, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array
+from tests.helpers.scripted import changed, flight_of, regular_hitch, resting_task
 
 HITCH = regular_hitch(3)
 T = np.arange(0.0, 2.005, 0.01)

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from groups import flown_by
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -31,6 +29,8 @@ from hitchopt.lab.simulation.judgement import warnings
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.storage.archive import PLAN
+from tests.helpers.groups import flown_by
+from tests.helpers.plans import planned
 
 TEAM = ho.Team(3, 2.3, tension=0.4, quadrotor="paper_132g")
 QUANTUM = 1e-3  # Of packets [m], [m/s²]

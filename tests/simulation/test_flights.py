@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scripted import changed, hanging_task, regular_hitch, resting_task, smooth_step, world_of
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -21,6 +20,14 @@ from hitchopt.lab.simulation.settings import ACCURATE, CALM, FAST, INDOOR, Prese
 from hitchopt.lab.simulation.task import RATE, Cargo, Task, read_task
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.values import Array
+from tests.helpers.scripted import (
+    changed,
+    hanging_task,
+    regular_hitch,
+    resting_task,
+    smooth_step,
+    world_of,
+)
 
 BRIEF = Settings(pull_test=False)
 

@@ -14,8 +14,6 @@ import pytest
 from matplotlib.image import imread
 from matplotlib.text import Text
 from numpy.typing import NDArray
-from plans import planned
-from scripted import changed, flight_of, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
@@ -34,6 +32,8 @@ from hitchopt.live.lost import RELEASE_TIME, Reactions
 from hitchopt.motion.motion import CableState
 from hitchopt.objects import Section, SolidObject
 from hitchopt.view.style import save_figure
+from tests.helpers.plans import planned
+from tests.helpers.scripted import changed, flight_of, regular_hitch, resting_task
 
 FAILED, NOT_SIMULATED, SUCCEEDED = "failed", "not simulated", "succeeded"
 HITCH = regular_hitch(4)

@@ -10,10 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from groups import beside, beside_saved, moved, with_swarm
-from plans import planned
 from scipy.spatial.distance import pdist
-from scripted import world_of
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -32,6 +29,9 @@ from hitchopt.steps.moving import Hold
 from hitchopt.support import Feature
 from hitchopt.values import Array
 from hitchopt.view.scene import ghost_scene
+from tests.helpers.groups import beside, beside_saved, moved, with_swarm
+from tests.helpers.plans import planned
+from tests.helpers.scripted import world_of
 
 BRIEF = Settings(pull_test=False, friction=0.1)
 

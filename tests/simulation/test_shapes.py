@@ -9,10 +9,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from plans import planned
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scripted import regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -22,6 +20,8 @@ from hitchopt.lab.simulation.ropes import Ropes
 from hitchopt.lab.simulation.settings import ACCURATE, FAST, Preset, Settings
 from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array
+from tests.helpers.plans import planned
+from tests.helpers.scripted import regular_hitch, resting_task
 
 PRESETS = pytest.mark.parametrize("preset", [FAST, ACCURATE], ids=lambda preset: preset.name)
 

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plans import planned
-from scripted import flight_of
 
 import hitchopt as ho
 from hitchopt.lab.simulation.flight import fly
@@ -17,6 +15,8 @@ from hitchopt.lab.simulation.report import Simulation, ending, summary
 from hitchopt.lab.simulation.rests import AFTER, rests
 from hitchopt.lab.simulation.settings import INDOOR, Settings
 from hitchopt.lab.simulation.task import Task
+from tests.helpers.plans import planned
+from tests.helpers.scripted import flight_of
 
 TEAM = ho.Team(3, 2.3, tension=0.5, cable_density=0.01)
 FROM, TO = ho.regular_polygon(3, 1.3), ho.regular_polygon(3, 1.15)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from scripted import hanging_task, states_of, world_of
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -37,6 +36,7 @@ from hitchopt.lab.simulation.settings import (
 )
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World, check_valid
 from hitchopt.values import Array
+from tests.helpers.scripted import hanging_task, states_of, world_of
 
 Text = pytest.CaptureFixture[str]
 PLACES = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 2.0, 3.0], [1.0, 2.0, 3.0]])

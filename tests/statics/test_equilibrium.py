@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clasp_balance import clasp_residuals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq, root
@@ -27,6 +26,7 @@ from hitchopt.motion.motion import CableState, Phase
 from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
+from tests.helpers.clasp_balance import clasp_residuals
 
 seeds = st.integers(0, 2**32 - 1)
 topologies = st.sampled_from(["closed", "open"])

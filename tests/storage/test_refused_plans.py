@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import planned
-from second_opinions import opinion, violated
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -21,6 +19,8 @@ from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.cli import main as main_command
 from hitchopt.motion.plan_file import FORMAT, read_plan, write_plan
 from hitchopt.verify import links, teams
+from tests.helpers.plans import planned
+from tests.helpers.second_opinions import opinion, violated
 
 FORGED = Path(__file__).parent / "refused_plans"
 REFUSED = {

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from powers import in_powers
 
 from hitchopt.trajectory import bernstein
+from tests.helpers.powers import in_powers
 
 Array = np.ndarray
 

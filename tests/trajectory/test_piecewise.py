@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusals import assert_refused
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, merged_breaks, on_breaks
 from hitchopt.trajectory.splines import bspline, evenly_interpolated, interpolated
+from tests.helpers.refusals import assert_refused
 
 BREAKS = np.array([0.5, 0.9, 2.0, 2.3])
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from powers import in_powers
 
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.search import BranchAndBound, Extremum, Formula, TimeSpans, worst
+from tests.helpers.powers import in_powers
 
 Array = np.ndarray
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import planned, planned_of
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -23,6 +22,7 @@ from hitchopt.verify.arithmetic import Line
 from hitchopt.verify.cables import taut_cables
 from hitchopt.verify.reading import EFFORT
 from hitchopt.verify.spans import PER_FIRST, Spans, prove
+from tests.helpers.plans import planned, planned_of
 
 Settings = dict[str, Any]
 Arrays = dict[str, Any]

@@ -15,9 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from groups import beside_saved, moved, with_swarm
-from plans import planned
-from second_opinions import opinion, violated
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -35,6 +32,9 @@ from hitchopt.motion.request import check_request, request_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from hitchopt.verify import drones, teams
+from tests.helpers.groups import beside_saved, moved, with_swarm
+from tests.helpers.plans import planned
+from tests.helpers.second_opinions import opinion, violated
 
 Change = Callable[[dict[str, Any], dict[str, Any]], object]
 

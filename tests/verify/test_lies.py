@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -22,6 +21,7 @@ from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 from hitchopt.verify import driver
+from tests.helpers.plans import PROBLEMS, planned
 
 Settings = dict[str, Any]
 Arrays = dict[str, Any]

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -21,6 +20,7 @@ from hitchopt.motion.retiming import slice_time
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 from hitchopt.verify import driver
+from tests.helpers.plans import planned
 
 
 def required(motion: Motion, *, limits: dict[str, Any] | None = None, **changes: Any) -> Motion:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import PROBLEMS, planned, planned_of
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -25,6 +24,7 @@ from hitchopt.steps import STEP_KINDS, STEPS, Step
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values.fields import keys_of
 from hitchopt.verify import request
+from tests.helpers.plans import PROBLEMS, planned, planned_of
 
 Path_ = tuple[str | int, ...]
 

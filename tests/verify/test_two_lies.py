@@ -10,9 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from groups import part
-from plans import planned
-from second_opinions import ROWS, opinion_of
 
 from hitchopt import verify as second
 from hitchopt.checks import certify
@@ -20,6 +17,9 @@ from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.values import Array, Indices
+from tests.helpers.groups import part
+from tests.helpers.plans import planned
+from tests.helpers.second_opinions import ROWS, opinion_of
 
 Change = Callable[[Motion], Motion]
 REFUSED = "refused"

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import planned
 from scipy.optimize import brentq
 
 import hitchopt as ho
@@ -27,6 +26,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.verify import arithmetic, catenary, driver, shapes
 from hitchopt.verify.arithmetic import Curve, Effort, Line
 from hitchopt.verify.spans import Spans, prove
+from tests.helpers.plans import planned
 
 QUICK = (
     *("triangle", "open_chain", "friction", "weight_hexagon", "form_square"),

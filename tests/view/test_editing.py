@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import PROBLEMS, planned, planned_of
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -33,6 +32,7 @@ from hitchopt.view.editing import (
     new_step,
     outlines,
 )
+from tests.helpers.plans import PROBLEMS, planned, planned_of
 
 TEXT = """\
 # A triangle off the origin.

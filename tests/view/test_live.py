@@ -18,7 +18,6 @@ import pytest
 import viser
 import websockets
 from click.testing import CliRunner
-from pictured import made_certificate, make_motion
 from websockets.sync.client import connect
 
 import hitchopt as ho
@@ -29,6 +28,7 @@ from hitchopt.view.live_scene import TRAIL_DURATION
 from hitchopt.view.own_pages import is_own_page
 from hitchopt.view.report import plots_of, write_report
 from hitchopt.view.scene import scene_of
+from tests.helpers.pictured import made_certificate, make_motion
 
 
 @pytest.fixture(scope="module")

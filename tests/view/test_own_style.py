@@ -10,10 +10,10 @@ from typing import Any
 
 import matplotlib as mpl
 import pytest
-from plans import ROOT, planned
 
 from hitchopt.view.pictures import draw_summary
 from hitchopt.view.style import save_figure
+from tests.helpers.plans import ROOT, planned
 
 STYLES: list[dict[str, Any]] = [
     {"text.usetex": True, "savefig.dpi": 30, "savefig.bbox": "tight"},

@@ -18,8 +18,6 @@ from matplotlib.image import imread
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
-from pictured import made_certificate, make_motion
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check
@@ -40,6 +38,8 @@ from hitchopt.view.pictures import (
 )
 from hitchopt.view.report import save_view
 from hitchopt.view.style import new_figure, save_figure
+from tests.helpers.pictured import made_certificate, make_motion
+from tests.helpers.plans import planned
 
 PRISM = ho.Prism([[4.0, 1.0], [4.0, 2.0], [5.0, 1.5]], 0.0, 1.0)
 

@@ -15,10 +15,7 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from groups import moved
 from matplotlib.transforms import Bbox
-from pictured import CORNERS, make_motion, with_box
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -53,6 +50,9 @@ from hitchopt.view.scene import (
     subdivide,
 )
 from hitchopt.view.style import OTHERS_COLOUR, cable_colours, new_figure, rgb
+from tests.helpers.groups import moved
+from tests.helpers.pictured import CORNERS, make_motion, with_box
+from tests.helpers.plans import planned
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import saved_others, write_plan
 from hitchopt.motion.retiming import shifted
+from tests.helpers.plans import planned
 
 
 def moved(motion: Motion, *by: float) -> Motion:

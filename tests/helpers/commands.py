@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from click.testing import CliRunner, Result
-from plans import PROBLEMS
 
 from hitchopt.cli import main
+from tests.helpers.plans import PROBLEMS
 
 TRIANGLE = PROBLEMS / "triangle.yaml"
 

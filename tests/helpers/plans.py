@@ -18,7 +18,7 @@ from pathlib import Path
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PROBLEMS = ROOT / "problems"
 GOOD, BAD, INFEASIBLE = (
     sorted((PROBLEMS / folder).glob("*.yaml")) for folder in ("", "bad", "infeasible")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
@@ -80,3 +81,9 @@ def _pairs(p: Any, q: Any, own: list[Any], rows: Rows) -> Iterator[teams.Pair]:
 def violated(rows: Iterable[second.Row]) -> set[str]:
     """Return the limits of rows that are violated."""
     return {row.name for row in rows if row.verdict == "violated"}
+
+
+def is_proven(plan: ho.Plan, folder: Path) -> bool:
+    """Return whether ``hitchopt verify`` proves every limit of a plan."""
+    plan.save(folder)
+    return all(row.verdict in second.PASSING for row in second.verify(folder))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import jsonschema
-from plans import ROOT
 
 from hitchopt.mission.loading import problem_schema
 from hitchopt.mission.problem import HitchStart, Problem
+from tests.helpers.plans import ROOT
 
 VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
 TEMPLATE = ROOT / "hitchopt" / "mission" / "template.yaml"

@@ -7,7 +7,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from plans import planned_of
 
 import hitchopt as ho
 from hitchopt.checks import Check
@@ -15,6 +14,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.plans import planned_of
 
 MASS, TO = 0.2, [-0.3, 0.9, 0.1]
 """Mass [kg] of the tray, and where it goes."""

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from plans import planned_of
 
 from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check
@@ -25,6 +24,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.plan import Plan
 from hitchopt.trajectory import PiecewisePolynomial
+from tests.helpers.plans import planned_of
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """Durations and figures of this repository's problems when ``baseline.json`` was written.
 
 A change of structure must not change them. Where a planner is meant to plan otherwise, write them
-anew with ``PYTHONPATH=tests python tests/cli/baseline.py`` and say why in the commit.
+anew with ``python -m tests.helpers.baseline`` and say why in the commit.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from plans import GOOD, ROOT
+from tests.helpers.plans import GOOD, ROOT
 
-FILE = Path(__file__).with_name("baseline.json")
+FILE = ROOT / "tests" / "cli" / "baseline.json"
 
 SLOW = ("circle_64", "circle_200")  # Problems that take longer to plan than a test should
 SWARMS = [

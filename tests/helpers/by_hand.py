@@ -11,7 +11,6 @@ from collections.abc import Set
 from itertools import combinations
 
 import numpy as np
-from motions import row
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import certify
@@ -20,6 +19,7 @@ from hitchopt.hitch.requirements import Prism, Separation
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from tests.helpers.motions import row
 
 G = 9.81
 UNSAMPLED = {"continuity", "tension", "duration", "interlacing"}

@@ -1,0 +1,1 @@
+"""What several tests share: plans that are solved once, second opinions, writers of files."""
