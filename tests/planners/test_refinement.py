@@ -17,6 +17,8 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.optimise.cost import FlightCost
+from hitchopt.planners.optimise.flight import Flight, with_leg_lengths
+from hitchopt.planners.optimise.motion_rows import ChosenRows
 from hitchopt.planners.optimise.parts import (
     DRONE_LIMITS,
     SMOOTHING,
@@ -25,14 +27,8 @@ from hitchopt.planners.optimise.parts import (
     PartFunctions,
     groups_of,
 )
-from hitchopt.planners.optimise.refinement import (
-    SETTINGS,
-    ChosenRows,
-    TrustRegion,
-    flight_along,
-    refined,
-    with_leg_lengths,
-)
+from hitchopt.planners.optimise.refinement import refined
+from hitchopt.planners.optimise.trust_region import TrustRegion
 from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.trajectory.splines import bspline
 from hitchopt.values import Array
@@ -163,25 +159,24 @@ def test_derivatives_of_rows_are_those_of_finite_differences(kind: str) -> None:
     """Rows of limits by coefficients of splines, and rows of distances."""
     requirements = Requirements(ho.Limits(), ho.Separation())
     path = with_leg_lengths(route_of(kind))
-    flight = flight_along(path, requirements, (0.3, 0.6), SETTINGS)
+    flight = Flight.along(path, requirements, (0.3, 0.6))
     assert flight is not None
     rng = np.random.default_rng(0)
-    chosen = ChosenRows.near(flight.ratios(flight.path, flight.rate), 0.3)
-    block = flight.limit_block(chosen)
+    chosen = ChosenRows.near(flight.limits.ratios(flight.path, flight.samples.rate), 0.3)
+    block = flight.limits.block(chosen)
     margin = 1.0
     shape = flight.shape_block(0.3, margin)
     step = 1e-5
     for _ in range(3):
-        direction = rng.uniform(-1.0, 1.0, (flight.count, flight.columns.size))
+        direction = rng.uniform(-1.0, 1.0, (flight.splines.count, flight.splines.columns.size))
         direction[[0, -1]] = 0.0
-        direction[:, ~flight.columns.is_free] = 0.0
+        direction[:, ~flight.splines.columns.is_free] = 0.0
         others = [
-            replace(flight, path=flight.moved(bspline(flight.knots, sign * step * direction, 5)))
-            for sign in (1.0, -1.0)
+            replace(flight, path=flight.moved(sign * step * direction)) for sign in (1.0, -1.0)
         ]
-        values = [other.limit_block(chosen).values for other in others]
+        values = [other.limits.block(chosen).values for other in others]
         numeric = (values[0] - values[1]) / (2.0 * step)
-        exact = np.asarray(block.rows[:, : flight.width] @ direction.ravel())
+        exact = np.asarray(block.rows[:, : flight.splines.width] @ direction.ravel())
         np.testing.assert_allclose(exact, numeric, rtol=1e-4, atol=1e-4)
         # Distances that are near on all three paths
         short = [other.shape_block(0.3, margin).smallest for other in others]
@@ -194,20 +189,20 @@ def test_derivatives_of_rows_are_those_of_finite_differences(kind: str) -> None:
 def test_a_clock_is_a_variable_too() -> None:
     """Rows of limits by the squared rate of the clock."""
     requirements = Requirements(ho.Limits(), ho.Separation())
-    flight = flight_along(with_leg_lengths(route_of("rolled")), requirements, None, SETTINGS)
+    flight = Flight.along(with_leg_lengths(route_of("rolled")), requirements, None)
     assert flight is not None
-    direction = np.random.default_rng(1).uniform(-1.0, 1.0, flight.rate_count)
-    change = bspline(flight.rate_knots, direction, 3)
+    direction = np.random.default_rng(1).uniform(-1.0, 1.0, flight.samples.rate_count)
+    change = bspline(flight.samples.rate_knots, direction, 3)
     step = 1e-6
-    chosen = ChosenRows.near(flight.ratios(flight.path, flight.rate), 0.5)
+    chosen = ChosenRows.near(flight.limits.ratios(flight.path, flight.samples.rate), 0.5)
     values = []
     for sign in (1.0, -1.0):
         rate = flight.clock.squared_rate
         moved = rate.replaced(rate.coefficients + sign * step * change.coefficients)
         other = replace(flight, clock=replace(flight.clock, squared_rate=moved))
-        values.append(other.limit_block(chosen).values)
+        values.append(other.limits.block(chosen).values)
     numeric = (values[0] - values[1]) / (2.0 * step)
-    exact = np.asarray(flight.limit_block(chosen).rows[:, flight.width :] @ direction)
+    exact = np.asarray(flight.limits.block(chosen).rows[:, flight.splines.width :] @ direction)
     np.testing.assert_allclose(exact, numeric, rtol=1e-4, atol=1e-4)
 
 
@@ -228,18 +223,14 @@ def test_derivatives_of_a_cost_in_motion_are_those_of_finite_differences() -> No
         ),
     )
     requirements = Requirements(ho.Limits(), ho.Separation())
-    flight = flight_along(path, requirements, None, SETTINGS, cost)
+    flight = Flight.along(path, requirements, None, cost)
     assert flight is not None
     program = TrustRegion.of(flight, 0.03, flight.shape_block(0.1, 1.0))
     rng = np.random.default_rng(2)
-    direction = np.zeros(flight.width)
+    direction = np.zeros(flight.splines.width)
     direction[program.free] = rng.uniform(-1.0, 1.0, len(program.free))
-    change = bspline(flight.knots, direction.reshape(flight.count, -1), 5)
     step = 1e-5
-    moved = [
-        replace(flight, path=flight.moved(change.replaced(sign * step * change.coefficients)))
-        for sign in (1.0, -1.0)
-    ]
+    moved = [replace(flight, path=flight.moved(sign * step * direction)) for sign in (1.0, -1.0)]
     numeric = (moved[0].cost() - moved[1].cost()) / (2.0 * step)
     exact = program.cost_gradient @ direction[program.free]
     assert exact == pytest.approx(numeric, rel=1e-5)

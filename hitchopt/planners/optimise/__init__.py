@@ -1,1 +1,1 @@
-"""Paths of a morph around obstacles: initial guesses, a casadi NLP, and refinement."""
+"""Optimised routes of a morph: guesses, a search at rest, and refinement with the clock."""

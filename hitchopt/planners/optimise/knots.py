@@ -264,13 +264,16 @@ class SolverStep:
 
 
 class QuadraticTerms(NamedTuple):
-    """A convex quadratic function of the changes of the inner rows of a path's table."""
+    """A convex quadratic function of the changes of some variables.
+
+    They are the inner rows of a path's table, or the coefficients of splines.
+    """
 
     hessian: sp.csr_array[np.float64]
-    """(inner knots · size, inner knots · size), of which the symmetric part is used."""
+    """(variables, variables), of which the symmetric part is used."""
 
     gradient: Array
-    """(inner knots · size,)"""
+    """(variables,)"""
 
     def plus(self, other: QuadraticTerms) -> QuadraticTerms:
         """Return the sum of two functions."""

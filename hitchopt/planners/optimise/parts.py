@@ -353,71 +353,85 @@ class Group:
     constants: Array
     """(parts, rows): constants of the function."""
 
+    def of_kind(self, kind: PartKind, chosen: Indices) -> Group:
+        """Return chosen parts (parts,) as a group of another kind."""
+        return Group(
+            kind,
+            self.columns[chosen],
+            self.points[chosen],
+            self.vertices[chosen],
+            self.drones[chosen],
+            self.constants[chosen],
+        )
+
 
 def groups_of(columns: Columns, *, climbs: bool) -> Iterator[Group]:
     """Yield the clasps of a team by kind, and the ends of a chain."""
     team = columns.team
     layout = team.layout
-    behind = layout.behind
-    ahead = layout.ahead
-    varies = columns.varying
     kind = PartKind(
         weighted=team.cable_density > 0.0,
         loaded=bool(np.any(team.load)),
         rolled=columns.rolled,
-        equal=not varies and bool(np.ptp(team.tension) == 0.0),
+        equal=not columns.varying and bool(np.ptp(team.tension) == 0.0),
         climbs=climbs,
-        varying=varies,
+        varying=columns.varying,
     )
-    cables = np.column_stack([behind, ahead])
-    points = np.column_stack([layout.starts[behind], layout.clasps, layout.ends[ahead]])
-    local = [columns.points[points].reshape(len(points), -1), columns.q_legs[cables]]
-    if columns.rolled:
-        local.append(columns.roll[:, None])
-    if varies:
-        local.append(columns.tensions[cables])
-    drones = np.column_stack([2 * behind + 1, 2 * ahead])
-    weight = np.full((len(points), 1), GRAVITY * team.cable_density)
-    load = GRAVITY * np.broadcast_to(team.load, len(points))[:, None]
-    clasps = Group(
-        kind,
-        np.concatenate(local, axis=1),
-        points,
-        layout.clasps,
-        drones,
-        np.concatenate(
-            [team.tension[cables], team.cable_length[cables], load, team.mass[drones], weight],
-            axis=1,
-        ),
-    )
-    is_last = ~layout.has_leg[ahead, 1]
+    clasps = _clasps(columns, kind)
+    is_last = ~layout.has_leg[layout.ahead, 1]
     for last in (False, True):
         chosen = np.flatnonzero(is_last == last)
         if len(chosen):
-            yield Group(
-                replace(kind, last=last),
-                clasps.columns[chosen],
-                points[chosen],
-                layout.clasps[chosen],
-                drones[chosen],
-                clasps.constants[chosen],
-            )
-    if layout.closed:
-        return
+            yield clasps.of_kind(replace(kind, last=last), chosen)
+    if not layout.closed:
+        yield _chain_ends(columns, replace(kind, chain_end=True))
+
+
+def _clasps(columns: Columns, kind: PartKind) -> Group:
+    """Return all clasps of a team."""
+    team = columns.team
+    layout = team.layout
+    cables = np.column_stack([layout.behind, layout.ahead])
+    points = np.column_stack(
+        [layout.starts[layout.behind], layout.clasps, layout.ends[layout.ahead]]
+    )
+    unknowns = [columns.points[points].reshape(len(points), -1), columns.q_legs[cables]]
+    if columns.rolled:
+        unknowns.append(columns.roll[:, None])
+    if columns.varying:
+        unknowns.append(columns.tensions[cables])
+    drones = np.column_stack([2 * layout.behind + 1, 2 * layout.ahead])
+    load = GRAVITY * np.broadcast_to(team.load, len(points))[:, None]
+    weight = np.full((len(points), 1), GRAVITY * team.cable_density)
+    constants = [team.tension[cables], team.cable_length[cables], load, team.mass[drones], weight]
+    return Group(
+        kind,
+        np.concatenate(unknowns, axis=1),
+        points,
+        layout.clasps,
+        drones,
+        np.concatenate(constants, axis=1),
+    )
+
+
+def _chain_ends(columns: Columns, kind: PartKind) -> Group:
+    """Return the drones at the ends of a chain."""
+    team = columns.team
+    layout = team.layout
     ends = np.flatnonzero(~layout.has_leg.ravel())
     cables = ends // 2
     points = np.column_stack([layout.anchors[ends], layout.pulled_to[ends]])
-    local = [columns.points[points].reshape(len(ends), -1)]
-    if varies:
-        local.append(columns.tensions[cables][:, None])
-    constants = [team.tension[cables], team.mass[ends], np.full(len(ends), weight[0, 0])]
-    yield Group(
-        replace(kind, chain_end=True),
-        np.concatenate(local, axis=1),
+    unknowns = [columns.points[points].reshape(len(ends), -1)]
+    if columns.varying:
+        unknowns.append(columns.tensions[cables][:, None])
+    weight = np.full(len(ends), GRAVITY * team.cable_density)
+    return Group(
+        kind,
+        np.concatenate(unknowns, axis=1),
         points,
         points[:, 0],
         ends[:, None],
-        np.column_stack(constants),
+        np.column_stack([team.tension[cables], team.mass[ends], weight]),
     )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +20,9 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.detours import Obstacle, obstacles_of
 from hitchopt.planners.optimise.parts import Columns, PartFunctions
 from hitchopt.planners.optimise.program import near_pairs
-from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.splines import extraction
+from hitchopt.planners.optimise.splines import DEGREE, LocalBasis, PathSplines, scattered
+from hitchopt.planners.path import Path
 from hitchopt.values import Array, Indices
-
-DEGREE = 5
-"""Degree of the splines that are added."""
 
 MARGIN_RAMP = 0.06
 """Distance from an end in s over which margins rise."""
@@ -42,33 +40,6 @@ TENSION_SHARE = 1e-3
 """Margin at both ends of a range of tensions, over the range."""
 
 
-class LocalBasis(NamedTuple):
-    """B-splines at samples."""
-
-    first: Indices
-    """(M,): index of the first one that does not vanish."""
-
-    jets: Array
-    """(M, degree + 1, count): values and derivatives of those that do not."""
-
-    @classmethod
-    def of(cls, knots: Array, degree: int, at: Array, count: int) -> LocalBasis:
-        """Return the B-splines with knots at parameters (M,)."""
-        breaks, columns, maps = extraction(knots, degree)
-        piece = breaks[1:-1].searchsorted(at, side="right")
-        durations = breaks[piece + 1] - breaks[piece]
-        jets = bernstein.jet_basis((at - breaks[piece]) / durations, degree, count)
-        jets = jets / durations[:, None, None] ** np.arange(count)
-        return cls(columns[piece, 0], maps[piece].swapaxes(1, 2) @ jets)
-
-
-def scattered(columns: Indices, entries: Array, width: int) -> sp.csr_array[np.float64]:
-    """Return the sparse rows (rows, width) with entries (rows, k) in columns (rows, k)."""
-    count = len(columns)
-    rows = np.repeat(np.arange(count), columns.shape[1])
-    return sp.csr_array((entries.ravel(), (rows, columns.ravel())), (count, width))
-
-
 class ShapeBlock(NamedTuple):
     """Rows of distances, legs, walls, angles and tensions."""
 
@@ -78,6 +49,27 @@ class ShapeBlock(NamedTuple):
     smallest: Array
     """(rows,): smallest changes."""
 
+    @classmethod
+    def stacked(cls, blocks: Sequence[ShapeBlock]) -> ShapeBlock:
+        """Return the rows of several blocks, at least one."""
+        rows = sp.csr_array(sp.vstack([block.rows for block in blocks]))
+        return cls(rows, np.concatenate([block.smallest for block in blocks]))
+
+
+class Slopes(NamedTuple):
+    """Derivatives of quantities of bodies by the unknowns of their parts."""
+
+    values: Array
+    """(J, bodies, …, largest size of a part)"""
+
+    columns: Indices
+    """(bodies, largest size of a part): the unknowns; any for entries that are zero."""
+
+    @classmethod
+    def zeros(cls, *shape: int) -> Slopes:
+        """Return derivatives that are zero, of a shape (J, bodies, …, largest size of a part)."""
+        return cls(np.zeros(shape), np.zeros((shape[1], shape[-1]), dtype=np.intp))
+
 
 @dataclass(frozen=True, eq=False)
 class PathShapes:
@@ -86,8 +78,8 @@ class PathShapes:
     Nodes are those of ``Layout.routes``: points, then drones.
     """
 
-    columns: Columns
-    """The unknowns."""
+    splines: PathSplines
+    """The splines that are added to the path."""
 
     s: Array
     """(J,): the samples."""
@@ -95,102 +87,81 @@ class PathShapes:
     unknowns: Array
     """(J, unknowns)"""
 
-    basis: LocalBasis
-    """The splines at the samples."""
-
     nodes: Array
     """(J, nodes, 3) [m]: positions."""
 
-    slopes: Array
-    """(J, 2n, 3, largest size of a part): derivatives of drones by their part's unknowns."""
-
-    slope_columns: Indices
-    """(2n, largest size of a part): these unknowns; any for entries that are zero."""
+    drone_slopes: Slopes
+    """(J, 2n, 3, …): derivatives of drones."""
 
     turns: Array
     """(J, clasps): sines of exterior angles."""
 
-    turn_slopes: Array
-    """(J, clasps, largest size): derivatives of these."""
-
-    turn_columns: Indices
-    """(clasps, largest size): by these unknowns."""
+    turn_slopes: Slopes
+    """(J, clasps, …): derivatives of these."""
 
     @classmethod
     def of(
-        cls,
-        columns: Columns,
-        functions: Sequence[PartFunctions],
-        s: Array,
-        unknowns: Array,
-        heights: Array,
-        basis: LocalBasis,
+        cls, splines: PathSplines, functions: Sequence[PartFunctions], path: Path, s: Array
     ) -> PathShapes:
-        """Return the shapes at s (J,) for unknowns (J, unknowns) and heights (J, points) [m]."""
+        """Return the shapes of a path at s (J,)."""
+        columns = splines.columns
         team = columns.team
         layout = team.layout
-        count = len(unknowns)
+        unknowns = splines.unknowns(path, s, 1)[..., 0]
+        heights = path.vertices.jet(s, 1)[:, :, 2, 0]
         points = np.concatenate([unknowns[:, columns.points], heights[..., None]], axis=2)
         drones = points[:, layout.anchors]  # final at a chain's ends
         clasps = [each for each in functions if not each.group.kind.chain_end]
         size = max(each.group.kind.size for each in clasps)
-        slopes = np.zeros((count, team.drones, 3, size))
-        slope_columns = np.zeros((team.drones, size), dtype=np.intp)
+        drone_slopes = Slopes.zeros(len(s), team.drones, 3, size)
         # A chain's ends are their points
-        slope_columns[:, :2] = columns.points[layout.anchors]
-        slopes[:, :, :2, :2] = np.eye(2)
-        turns = np.zeros((count, len(layout.clasps)))
-        turn_slopes = np.zeros((count, len(layout.clasps), size))
-        turn_columns = np.zeros((len(layout.clasps), size), dtype=np.intp)
+        drone_slopes.columns[:, :2] = columns.points[layout.anchors]
+        drone_slopes.values[:, :, :2, :2] = np.eye(2)
+        turns = np.zeros((len(s), len(layout.clasps)))
+        turn_slopes = Slopes.zeros(len(s), len(layout.clasps), size)
         first = 0
         for each in clasps:
+            group = each.group
             values, by_unknowns = each.shapes(unknowns, heights)
             for side in range(2):
                 rows = slice(3 * side, 3 * side + 3)
-                of_side = each.group.drones[:, side]
+                of_side = group.drones[:, side]
                 drones[:, of_side] = values[:, :, rows]
-                slopes[:, of_side] = by_unknowns[:, :, rows]
-                slope_columns[of_side] = each.group.columns
-            own = slice(first, first + len(each.group.columns))
+                drone_slopes.values[:, of_side] = by_unknowns[:, :, rows]
+                drone_slopes.columns[of_side] = group.columns
+            own = slice(first, first + len(group.columns))
             turns[:, own] = values[:, :, 6]
-            turn_slopes[:, own] = by_unknowns[:, :, 6]
-            turn_columns[own] = each.group.columns
+            turn_slopes.values[:, own] = by_unknowns[:, :, 6]
+            turn_slopes.columns[own] = group.columns
             first = own.stop
         nodes = np.concatenate([points, drones], axis=1)
-        return cls(
-            columns,
-            s,
-            unknowns,
-            basis,
-            nodes,
-            slopes,
-            slope_columns,
-            turns,
-            turn_slopes,
-            turn_columns,
-        )
+        return cls(splines, s, unknowns, nodes, drone_slopes, turns, turn_slopes)
+
+    @property
+    def columns(self) -> Columns:
+        """The unknowns."""
+        return self.splines.columns
+
+    @cached_property
+    def basis(self) -> LocalBasis:
+        """The B-splines at the samples."""
+        return self.splines.basis(self.s, 1)
 
     def _rows(self, sample: Indices, columns: Indices, slopes: Array) -> sp.csr_array[np.float64]:
         """Return rows of the derivatives (rows, k) by unknowns (rows, k) at samples (rows,)."""
-        coefficient = self.basis.first[sample][:, None] + np.arange(DEGREE + 1)
-        entries = self.basis.jets[sample][:, :, None, 0] * slopes[:, None]
-        places = coefficient[..., None] * self.columns.size + columns[:, None]
+        basis = self.basis.at(sample)
+        entries = basis.jets[:, :, None, 0] * slopes[:, None]
+        places = self.splines.places(basis, columns)
         shape = len(sample), (DEGREE + 1) * columns.shape[1]
-        width = self.basis_count * self.columns.size
-        return scattered(places.reshape(shape), entries.reshape(shape), width)
-
-    @property
-    def basis_count(self) -> int:
-        """Number of coefficients of each spline."""
-        return int(self.basis.first[-1]) + DEGREE + 1
+        return scattered(places.reshape(shape), entries.reshape(shape), self.splines.width)
 
     def _of_nodes(self, sample: Indices, node: Indices, gradient: Array) -> tuple[Indices, Array]:
         """Return unknowns and derivatives (rows, k) of gradients (rows, 3) times positions."""
         points = self.columns.team.layout.points
         drone = np.maximum(node - points, 0)
         is_point = (node < points)[:, None]
-        slopes = np.einsum("ra,rak->rk", gradient, self.slopes[sample, drone])
-        columns = self.slope_columns[drone]
+        slopes = np.einsum("ra,rak->rk", gradient, self.drone_slopes.values[sample, drone])
+        columns = self.drone_slopes.columns[drone]
         of_points = np.zeros_like(slopes)
         of_points[:, :2] = gradient[:, :2]
         point_columns = np.zeros_like(columns)
@@ -286,8 +257,7 @@ class PathShapes:
     @property
     def _no_rows(self) -> ShapeBlock:
         """No rows."""
-        width = self.basis_count * self.columns.size
-        return ShapeBlock(sp.csr_array((0, width)), np.zeros(0))
+        return ShapeBlock(sp.csr_array((0, self.splines.width)), np.zeros(0))
 
     def obstacle_blocks(
         self, requirements: Requirements, reach: float, margin: float
@@ -315,13 +285,13 @@ class PathShapes:
             gradient = normals[sample, body] * scale @ to_slab
             least = solid.support(normals[sample, body]) + margin * distance + gradient @ place
             blocks += [self._beyond(sample, ends[body, end], gradient, least) for end in range(2)]
-        rows = sp.csr_array(sp.vstack([block.rows for block in blocks]))
-        return ShapeBlock(rows, np.concatenate([block.smallest for block in blocks]))
+        return ShapeBlock.stacked(blocks)
 
     def turn_block(self) -> ShapeBlock:
         """Return the rows of the sines of exterior angles, which do not become too small."""
         sample, clasp = np.indices(self.turns.shape).reshape(2, -1)
-        rows = self._rows(sample, self.turn_columns[clasp], self.turn_slopes[sample, clasp])
+        slopes = self.turn_slopes
+        rows = self._rows(sample, slopes.columns[clasp], slopes.values[sample, clasp])
         return ShapeBlock(rows, np.minimum(MIN_SINE - self.turns[sample, clasp], 0.0))
 
     def tension_block(self, tension: tuple[float, float]) -> ShapeBlock:
@@ -333,9 +303,11 @@ class PathShapes:
         sample, cable = np.indices(tensions.shape).reshape(2, -1)
         of_cables = columns[cable][:, None]
         ones = np.ones((len(sample), 1))
-        rows = [self._rows(sample, of_cables, sign * ones) for sign in (1.0, -1.0)]
         above = np.minimum(smallest + margin - tensions, 0.0)
         below = np.minimum(tensions - largest + margin, 0.0)
-        return ShapeBlock(
-            sp.csr_array(sp.vstack(rows)), np.concatenate([above.ravel(), below.ravel()])
+        return ShapeBlock.stacked(
+            [
+                ShapeBlock(self._rows(sample, of_cables, ones), above.ravel()),
+                ShapeBlock(self._rows(sample, of_cables, -ones), below.ravel()),
+            ]
         )
