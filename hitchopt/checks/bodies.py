@@ -7,8 +7,8 @@ Checks within a team and between teams compare them (``checks.distances``).
   chord, no deeper than a cable that leads straight down and up again.
 - A laid cable (CableState.LAYING) is in the air, too: its drones hold it taut and lay it across its
   neighbours. It is in the sheet from its chord down to its largest sag.
-- A cable that is clasped or tightened, or the reverse, is somewhere between its chord and its route
-  over the clasps, as far out as its slack allows: in the vertical region below the hull of both.
+- A cable that is clasped or tightened, or the reverse, or loose after a loss, is somewhere between
+  its chord and its route over the clasps: in the vertical region below the hull of both.
   Its clasps are near the middles of the pairs of drones that turn about each other, or near the
   plan's vertices while drones move out, and as taut as those of the hitch before or after.
 
@@ -30,9 +30,12 @@ from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
+from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices, true_runs
 
 Flags = NDArray[np.bool_]
+
+LOOSE = frozenset({CableState.LOOSE})
 
 PLAN_AXES = np.array([1.0, 1.0, 0.0])[:, None]
 """Factors of coordinates, seen from above."""
@@ -169,7 +172,21 @@ def _bottoms(motion: Motion) -> Array:
     laid = motion.in_states(frozenset({CableState.LAYING}))
     if np.any(laid):
         bottoms[laid] = _below_chords(motion, laid)
+    loose = motion.in_states(LOOSE)
+    if np.any(loose):
+        level = Enclosed((r - q)[loose]).xy.norm_lower.value
+        shallower = 0.5 * motion.team.cable_length - hanging_depth(motion.team.cable_length, level)
+        bottoms[loose, :, :, 2] += shallower[..., None, None]
     return bottoms
+
+
+def hanging_depth(lengths: Array, spans: Array) -> Array:
+    """Return how far cables hang at most below the middle of their ends [m].
+
+    They are within an ellipsoid of revolution about both ends, which are at least ``spans`` [m]
+    apart, seen from above.
+    """
+    return np.asarray(0.5 * np.sqrt(np.maximum(lengths**2 - spans**2, 0.0)))
 
 
 def clasped_outlines(layout: Layout, drones: Array, clasps: Array, taut: Array) -> Array:
@@ -219,11 +236,11 @@ def _middles(motion: Motion, drones: Array) -> Array:
 def _taut_clasps(motion: Motion, clasps: Array, clasped: Flags) -> Array:
     """Return the clasps (pieces, points, 3, degree + 1) [m] of the hitch before or after.
 
-    Without such a hitch, they are the given ones.
+    Without such a hitch, and after a loss, they are the given ones.
     """
     taut = clasps.copy()
     vertices = motion.vertices.coefficients
-    for first, last in true_runs(clasped):
+    for first, last in true_runs(clasped & ~motion.in_states(LOOSE)):
         if first > 0 and motion.formed[first - 1]:
             taut[first:last] = vertices[first - 1, ..., -1:]
         elif last < len(clasped) and motion.formed[last]:

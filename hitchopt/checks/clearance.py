@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.bodies import (
+    LOOSE,
     Bodies,
     cable_ends,
     cable_sheets,
@@ -44,6 +45,7 @@ from hitchopt.checks.hanging import (
     cables_and_ground,
     chain_distance,
     drones_and_own_cables,
+    lowered_ground,
 )
 from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, Evaluator
@@ -129,7 +131,15 @@ def _drones_and_clasped(motion: Motion) -> Iterator[Moving]:
             return np.asarray((drone // 2 != cable) & ~excepted[cable, drone])
 
         regions = replace(clasped_cables(motion), pieces=motion.in_states(frozenset({state})))
-        yield Moving.between(motion, regions, drones_of(motion), allowed=counts)
+        exact = {"tolerance": None} if state is CableState.LOOSE else {}
+        yield Moving.between(motion, regions, drones_of(motion), allowed=counts, **exact)
+
+
+def _loose_and_ground(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of the regions of loose cables and the ground."""
+    regions = clasped_cables(motion)
+    points = Enclosed(regions.corners[:, :, regions.outline :])
+    yield pairs_with_shape(motion, points, regions.names, GROUND, lowered_ground(motion))
 
 
 ON_GROUND = frozenset({CableState.GROUND})
@@ -147,10 +157,11 @@ CABLE_CLEARANCE = CheckRule(
         Evaluator(nearest(_drones_and_drawn), DRAWN, exported=True),
         Evaluator(
             nearest(_drones_and_hanging),
-            FREE_STATES - ON_GROUND - DRAWN - LAYING,
+            FREE_STATES - ON_GROUND - DRAWN - LAYING - LOOSE,
             exported=True,
             formulas=(chain_distance,),
         ),
+        Evaluator(nearest(_loose_and_ground), LOOSE, exported=True),
         Evaluator(nearest(_drones_and_hanging), LAYING, exported=True),
         Evaluator(
             nearest(_drones_and_clasped),

@@ -250,22 +250,27 @@ def drones_and_own_cables(motion: Motion) -> Moving:
 
 
 def cables_and_ground(motion: Motion) -> Moving:
-    """Return the pairs of hanging cables and the ground.
-
-    The ground is lowered so that cables at ``Requirements.ground_clearance`` keep the limit where
-    heights are divided by ``height_ratio``: that division lengthens their distances only.
-    """
-    requirements = motion.requirements
-    scaled_limit = requirements.height_ratio * requirements.separation.cable
-    lowered = scaled_limit - requirements.ground_clearance
+    """Return the pairs of hanging cables and the ground."""
     cables = cables_and_drones(motion)
     return replace(
         cables,
         second=np.zeros((len(cables.first), 1, 1, 3, 1)),
         names=(cables.names[0], (GROUND,)),
         allowed=None,
-        shape=Ground(requirements.floor - lowered),
+        shape=lowered_ground(motion),
     )
+
+
+def lowered_ground(motion: Motion) -> Ground:
+    """Return the ground, from which cables keep the limit of their clearance.
+
+    It is lowered so that cables at ``Requirements.ground_clearance`` keep the limit where heights
+    are divided by ``height_ratio``: that division lengthens their distances only.
+    """
+    requirements = motion.requirements
+    scaled_limit = requirements.height_ratio * requirements.separation.cable
+    lowered = scaled_limit - requirements.ground_clearance
+    return Ground(requirements.floor - lowered)
 
 
 def chain_distance(spans: PairSpans, shape: Shape | None = None, beyond: float = 0.0) -> Bound:

@@ -48,6 +48,7 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.pairs import MIN_GAP
 from hitchopt.motion.motion import (
+    CLASPED_STATES,
     FREE_STATES,
     JOINT,
     LAID_STATES,
@@ -68,6 +69,9 @@ MAX_JUMP = 1e-6
 
 MAX_LAID_GAP = 0.02
 """[m] Largest distance of cables that lie on each other: their sags differ."""
+
+TIED_STATES = CLASPED_STATES - {CableState.CLASPING}
+"""States without a hitch in which a plan of a tied team may begin."""
 
 MAX_NAMED = 12
 """Maximum number of pairs in ``where``."""
@@ -197,6 +201,9 @@ def _contradictions(motion: Motion) -> Iterator[Contradiction]:
         last = parts[-1]
         is_hitched = state is CableState.HITCHED
         is_last = last.pieces.stop == motion.drones.pieces
+        if state is CableState.LOOSE and i > 0:  # plans begin with a loss
+            start = float(first.motion.drones.breaks[0])
+            yield Contradiction(first.phase, ties.pairs, start)
         if state not in LAID_STATES:
             yield from _contradictions_at_start(state, first, ties)
         if is_hitched:
@@ -262,7 +269,7 @@ def _contradicting_crossings(
             continue
         compared = span if state is CableState.DRAWN else motion
         yield Contradiction(phase, contradictions(compared), float(motion.drones.breaks[0]))
-        if state is not CableState.GROUND:  # there, drones keep a horizontal distance
+        if state not in (CableState.GROUND, CableState.LOOSE):  # there, all keep a distance
             drone, cable, time = drones_inside_hanging_cables(motion)
             yield Contradiction(phase, pair_of(layout, drone // 2, cable), time)
 
@@ -321,7 +328,7 @@ class Ties:
         """
         pairs = clasped_pairs(motion.team.layout)
         order = np.argsort(pairs)
-        is_tied = motion.formed[0] or motion.phases[0].state is CableState.TIGHTENING
+        is_tied = motion.formed[0] or motion.phases[0].state in TIED_STATES
         numbers = np.full(len(order), int(is_tied), dtype=np.intp)
         return cls(
             pairs=np.sort(pairs),

@@ -2,15 +2,17 @@
 
 While a hitch is taut, each of its robots may be lost with its cable (``hitchopt.hitch.losses``).
 Then its drones drop their ends of the cable and rise, and the two neighbouring drones at its clasps
-move to where the remaining cables are an open chain in balance. Until then these two cables hang
-between their drones and their other clasps. For every instant, as if the plan had stopped there:
+move to where the remaining cables are an open chain in balance. Without these clasps no cable is
+held: until then all are loose (``CableState.LOOSE``), as in the plan of the reaction. For every
+instant, as if the plan had stopped there:
 
 - every drone may be off its plan by ``loss_displacement``, for which the tracking error allows;
 - places after the loss are polynomials of t, which the chain's balance and cable lengths bound;
 - a way is the segment from the drone's place to that after the loss. It keeps ``separation`` and
   ``cable_clearance``, with the tracking error, whatever happens when on all ways;
-- a loose cable is in the prism below the triangle of way and far clasp, as deep as a cable that
-  leads straight down and up again; as while cables are tightened, its own drones may be closer;
+- a loose cable is in the prism below its drones, the way of one if it moves, and its clasps, as
+  deep as its length allows; its own drones may be closer;
+- chords of cables that hold each other do not pass through each other;
 - the lost robot's drones rise straight up, above all others.
 
 Not covered: cables that swing sideways, friction, which may keep vertices off their places, and
@@ -20,21 +22,23 @@ what falls. While cables of a hitch roll, or its tension rises or falls, drones 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hitchopt.checks.bodies import Bodies, drones_of, taut_cables
+from hitchopt.checks.bodies import PLAN_AXES, Bodies, cable_ends, drones_of, hanging_depth
 from hitchopt.checks.cables import LENGTH_LIMIT
 from hitchopt.checks.certificate import TOLERANCE
+from hitchopt.checks.chords import MIN_DISTANCE
 from hitchopt.checks.clasps import BALANCE_LIMIT
-from hitchopt.checks.distances import Flags, Moving, smallest
+from hitchopt.checks.distances import GROUND, Flags, Ground, Hulls, Moving, PairSpans, smallest
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
+from hitchopt.checks.solids import pairs_with_shape
 from hitchopt.checks.spans import ROUNDING, cached, joined_arrays, magnitude
-from hitchopt.geometry.vectors import shortest_offset, unit
+from hitchopt.geometry.vectors import differences, shortest_offset, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.losses import Losses, displacements, places_after_loss
 from hitchopt.hitch.pairs import DISTANCES
@@ -56,6 +60,12 @@ ORDER = 7
 
 RISE = 2.1
 """Height between a lost robot's drones and all others, over the semi-axis of ellipsoids."""
+
+SWEEPS = 4
+"""Number of triangles that a chord sweeps on the way of its end."""
+
+MARGIN = 3e-4
+"""Relative margin of distances: bounds of those in the plan that follows may be less tight."""
 
 REST = 1e-9
 """[m] Largest motion at rest."""
@@ -171,113 +181,183 @@ class AfterLoss:
         return self.motion.requirements.with_reserve
 
     @lazy
-    def lengths(self) -> Array:
-        """Largest lengths (pieces, m) [m] of the loose parts of cables."""
-        chords = [self.clasp - self.far, self.start - self.clasp]
-        sizes = [np.asarray(Enclosed(chord).norm_upper.value) for chord in chords]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            factors = (2.0 * self.half_density / np.min(self.tensions, axis=-1)) ** 2 / 24.0
-        edge, leg = (size * (1.0 + factors * size**2) for size in sizes)
-        return np.asarray(edge + leg)
+    def other(self) -> Array:
+        """Places of the other drones of these cables, which stay."""
+        drones = self.motion.drones.coefficients[:, self.drone ^ 1]
+        return bernstein.elevate(drones, bernstein.degree(self.start))
 
     @lazy
     def depths(self) -> Array:
         """How far loose cables hang at most below their ends (pieces, m) [m]."""
-        ends = np.stack([self.start, self.place], axis=2) - self.far[:, :, None]
+        ends = np.stack([self.start, self.place], axis=2) - self.other[:, :, None]
+        ends = ends * PLAN_AXES
         middle = ends @ bernstein.at_nodes(0, bernstein.degree(ends))[0]
         nearest = unit(shortest_offset(middle))
         along = np.min(np.einsum("pmc,pmkcd->pmkd", nearest, ends), axis=(2, 3))
-        squares = self.lengths**2 - np.maximum(along, 0.0) ** 2
-        return np.asarray(0.5 * np.sqrt(np.maximum(squares, 0.0)))
+        length = self.motion.team.cable_length[self.cable]
+        return hanging_depth(length, np.maximum(along, 0.0))
 
-    def loose(self, *corners: Array) -> Bodies:
-        """Return the prisms below some corners, in which the cables of the rows hang."""
-        top = np.stack(corners, axis=2)
-        bottom = top.copy()
-        bottom[..., 2, :] -= self.depths[:, :, None, None]
+    def end_regions(self, *corners: Array) -> Bodies:
+        """Return the vertical regions below some corners and the other drones of the rows' cables.
+
+        These cables are in there.
+        """
+        outline = np.stack([*corners, self.other], axis=2)
         names = [self.motion.team.cable_names[cable] for cable in self.cable]
-        return Bodies(np.concatenate([top, bottom], axis=2), names, outline=len(corners))
+        return _hanging_below(outline, self.depths, names)
+
+    @lazy
+    def inner_regions(self) -> Bodies:
+        """The vertical regions (n,) of cables between their drones and over their clasps."""
+        motion = self.motion
+        layout = motion.team.layout
+        drones, vertices = same_degree(motion.drones.coefficients, motion.vertices.coefficients)
+        q = drones[:, 0::2]
+        r = drones[:, 1::2]
+        outline = [q, vertices[:, layout.starts], vertices[:, layout.ends], r]
+        level = Enclosed(r - q).xy.norm_lower.value
+        depths = hanging_depth(motion.team.cable_length, level)
+        return _hanging_below(np.stack(outline, axis=2), depths, motion.team.cable_names)
+
+    def chords(self) -> Bodies:
+        """Return triangles that the chords of the rows' cables sweep in turn, SWEEPS per row."""
+        shares = np.linspace(0.0, 1.0, SWEEPS + 1)
+        steps = [self.start + share * (self.place - self.start) for share in shares]
+        parts = [np.stack([*each, self.other], axis=2) for each in pairwise(steps)]
+        names = [self.motion.team.cable_names[cable] for cable in self.cable]
+        return Bodies(np.concatenate(parts, axis=1), names * SWEEPS)
+
+    @lazy
+    def swept_ways(self) -> Bodies:
+        """The ways (m,) of the drones that move."""
+        names = [self.motion.team.drone_names[drone] for drone in self.drone]
+        return Bodies(np.stack([self.start, self.place], axis=2), names)
+
+    @lazy
+    def rising(self) -> Bodies:
+        """The ways of all drones up, as after the loss of their robots."""
+        drones = drones_of(self.motion)
+        corners = np.concatenate([drones.corners, self.waiting.corners], axis=2)
+        return replace(drones, corners=corners)
+
+    @lazy
+    def waiting(self) -> Bodies:
+        """All drones after they have risen."""
+        drones = drones_of(self.motion)
+        corners = drones.corners.copy()
+        corners[..., 2, :] += self.rise
+        return replace(drones, corners=corners)
+
+    @lazy
+    def loose(self) -> Bodies:
+        """The regions (m,) of cables whose ends move, at any place on their ways."""
+        return self.end_regions(self.start, self.place, self.far)
+
+    @lazy
+    def compared(self) -> Compared:
+        """The pairs of bodies that are compared."""
+        return Compared.of(self)
 
     def cases(self) -> Iterator[Case]:
-        """Yield all distances that are kept."""
-        motion = self.motion
-        need = self.requirements
-        limits = {name: rule.limit(need.separation) for name, rule in DISTANCES.items()}
-        names = motion.team.drone_names
-        drones = drones_of(motion)
-        parts = taut_cables(motion)
-        cable_of_part = parts.part // 3
-        ways = Bodies(
-            np.stack([self.start, self.place], axis=2), [names[drone] for drone in self.drone]
+        """Yield all distances that are kept.
+
+        Where whole cables are compared, they are those that lose no clasp.
+        """
+        yield from self._separations()
+        yield from self._clearances()
+        yield from self._crossings()
+
+    def _between(self, first: Bodies, second: Bodies, pairs: Flags, **options: Any) -> Moving:
+        """Return pairs of bodies of two kinds, by a table."""
+        allowed = {"allowed": lambda i, j: pairs[i, j]}
+        return Moving.between(self.motion, first, second, **(allowed | options))
+
+    def _separations(self) -> Iterator[Case]:
+        """Yield the distances of drones."""
+        pairs = self.compared
+        scale = self.requirements.separation.scale
+        margin = ROUNDING * magnitude(self.motion) * float(np.max(scale))
+        ways, rising, waiting, drones = (
+            bodies.scaled(scale)
+            for bodies in (self.swept_ways, self.rising, self.waiting, drones_of(self.motion))
         )
-        tops = drones.corners.copy()
-        tops[..., 2, :] += self.rise
-        rising = Bodies(np.concatenate([drones.corners, tops], axis=2), names)
-        waiting = Bodies(tops, names)
-        loose = self.loose(self.start, self.place, self.far)
-        at_first = self.loose(self.start, self.clasp, self.far)
-        taut = Bodies(np.stack([self.place, self.far], axis=2), loose.names)
-        may_leave = np.isin(np.arange(len(names)) // 2, self.robots)
+        for first, second, table in (
+            (ways, drones, pairs.others),
+            (ways, ways, pairs.together),
+            (ways, waiting, pairs.leaves),
+            (rising, drones, pairs.stay),
+        ):
+            moving = self._between(first, second, table, margin=margin)
+            yield Case("separation", 1.0, moving)
 
-        def others(row: Indices, drone: Indices) -> Flags:
-            return np.asarray((drone != self.drone[row]) & (drone // 2 != self.lost[row]))
+    def _clearances(self) -> Iterator[Case]:
+        """Yield the distances of cables to drones and the ground."""
+        need = self.requirements
+        check = "cable_clearance"
+        limit = DISTANCES[check].limit(need.separation)
+        pairs = self.compared
+        drones = drones_of(self.motion)
+        whole = self.inner_regions
+        at_first = self.end_regions(self.start, self.clasp, self.far)
+        taut = Bodies(np.stack([self.place, self.far], axis=2), self.loose.names)
+        for first, second, table in (
+            (self.swept_ways, whole, pairs.beside),
+            (self.loose, self.swept_ways, pairs.together),
+            (self.loose, drones, pairs.of_others),
+            (taut, drones, pairs.others),
+            (drones, whole, pairs.stay_beside),
+            (self.rising, whole, pairs.leave_beside),
+            (at_first, self.rising, pairs.leaves),
+        ):
+            moving = self._between(first, second, table).flattened(need.height_ratio)
+            yield Case(check, limit, moving)
+        every = np.ones(len(self.drone), dtype=np.bool_)
+        for regions, on in ((self.loose, every), (whole, np.any(self.is_whole, axis=0))):
+            bottom = Enclosed(regions.corners[:, :, regions.outline :])
+            moving = pairs_with_shape(
+                *(self.motion, bottom, regions.names, GROUND, Ground(need.floor)),
+                allowed=lambda body, _, on=on: on[body],
+            )
+            yield Case(check, need.ground_clearance, moving)
 
-        def of_others(row: Indices, drone: Indices) -> Flags:
-            return np.asarray(others(row, drone) & (drone // 2 != self.cable[row]))
+    def _crossings(self) -> Iterator[Case]:
+        """Yield the distances of cables that share no clasp, and of chords of those that do."""
+        pairs = self.compared
+        limit = DISTANCES["crossing"].limit(self.requirements.separation)
+        loose, whole = (_seen_from_above(each) for each in (self.loose, self.inner_regions))
+        for first, second, table in (
+            (loose, whole, pairs.beside & ~pairs.linked_beside),
+            (loose, loose, pairs.together & ~pairs.linked_ends),
+            (whole, whole, pairs.both_whole & ~self.linked),
+        ):
+            shape = Hulls((first.outline, second.outline))
+            yield Case("crossing", limit, self._between(first, second, table, shape=shape))
+        swept = self.chords()
+        chords = Bodies(cable_ends(self.motion.drones.coefficients), whole.names)
+        for first, second, table in (
+            (swept, chords, np.tile(pairs.beside & pairs.linked_beside, (SWEEPS, 1))),
+            (swept, swept, np.tile(pairs.together & pairs.linked_ends, (SWEEPS, SWEEPS))),
+            (chords, chords, pairs.both_whole & self.linked),
+        ):
+            moving = self._between(first, second, table, formula=_swept_gap)
+            yield Case("interlacing", 2.0 * MIN_DISTANCE, moving)
 
-        def together(row: Indices, other: Indices) -> Flags:
-            return np.asarray((self.lost[row] == self.lost[other]) & (row != other))
+    @lazy
+    def is_whole(self) -> Flags:
+        """(n, n), whether a cable keeps its clasps after the loss of one that may be lost."""
+        count = self.motion.team.robots
+        whole = ~np.eye(count, dtype=np.bool_)
+        whole[self.lost, self.cable] = False
+        whole[~np.isin(np.arange(count), self.robots)] = False
+        return whole
 
-        def leaves(row: Indices, drone: Indices) -> Flags:
-            return np.asarray(self.lost[row] == drone // 2)
-
-        def foreign(row: Indices, part: Indices) -> Flags:
-            cable = cable_of_part[part]
-            return np.asarray((cable != self.cable[row]) & (cable != self.lost[row]))
-
-        at_vertex = np.zeros((motion.team.robots, motion.team.layout.points), dtype=np.bool_)
-        for ends in (motion.team.layout.starts, motion.team.layout.ends):
-            at_vertex[np.arange(motion.team.robots), ends] = True
-
-        def unclasped(row: Indices, part: Indices) -> Flags:
-            is_clasped = at_vertex[cable_of_part[part], self.shared[row]]
-            return np.asarray(foreign(row, part) & ~is_clasped)
-
-        def apart(row: Indices, other: Indices) -> Flags:
-            return np.asarray(together(row, other) & (self.shared[row] != self.shared[other]))
-
-        def stay(drone: Indices, other: Indices) -> Flags:
-            return np.asarray(may_leave[drone] & (drone // 2 != other // 2))
-
-        def not_own(drone: Indices, part: Indices) -> Flags:
-            return np.asarray(may_leave[drone] & (cable_of_part[part] != drone // 2))
-
-        scale = need.separation.scale
-        margin = ROUNDING * magnitude(motion) * float(np.max(scale))
-
-        def ratio(first: Bodies, second: Bodies, allowed: object) -> Case:
-            pair = first.scaled(scale), second.scaled(scale)
-            return Case("separation", 1.0, between(*pair, allowed, margin=margin))
-
-        def metres(check: str, first: Bodies, second: Bodies, allowed: object) -> Case:
-            moving = between(first, second, allowed).flattened(need.height_ratio)
-            return Case(check, limits[check], moving)
-
-        def between(first: Bodies, second: Bodies, allowed: object, **options: float) -> Moving:
-            return Moving.between(motion, first, second, allowed=allowed, **options)
-
-        yield ratio(ways, drones, others)
-        yield ratio(ways, ways, together)
-        yield ratio(ways, waiting, leaves)
-        yield ratio(rising, drones, stay)
-        yield metres("cable_clearance", ways, parts, foreign)
-        yield metres("cable_clearance", loose, ways, together)
-        yield metres("cable_clearance", loose, drones, of_others)
-        yield metres("cable_clearance", taut, drones, others)
-        yield metres("cable_clearance", rising, parts, not_own)
-        yield metres("cable_clearance", at_first, rising, leaves)
-        yield metres("crossing", loose, parts, unclasped)
-        yield metres("crossing", loose, loose, apart)
+    @lazy
+    def linked(self) -> Flags:
+        """(n, n), whether two cables share a clasp."""
+        layout = self.motion.team.layout
+        pairs = np.zeros((layout.robots, layout.robots), dtype=np.bool_)
+        pairs[layout.ahead, layout.behind] = True
+        return pairs | pairs.T
 
     def spans(self) -> Iterator[Rows]:
         """Yield all rows on all pieces."""
@@ -299,11 +379,115 @@ class AfterLoss:
                 case = WorstCase(share, extremum.time, (drone,), binding=name)
                 best = min(best, case, key=lambda each: each.worst)
         for check, limit, moving in self.cases():
-            pair = smallest(moving, target=limit)
-            if pair.item >= 0 and pair.worst / limit < best.worst:
+            kept = (1.0 + MARGIN) * limit
+            pair = smallest(moving, target=kept)
+            if pair.item >= 0 and pair.worst / kept < best.worst:
                 where = moving.pair_names(pair.item)
-                best = WorstCase(pair.worst / limit, pair.time, where, binding=check)
+                best = WorstCase(pair.worst / kept, pair.time, where, binding=check)
         return best
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Pairs of bodies that may meet after the same loss: tables of rows, drones and cables.
+
+    Rows are those of ``AfterLoss``: drones that move, or their cables. Whole cables keep their
+    clasps.
+    """
+
+    others: Flags
+    """(m, 2n), rows and drones that remain."""
+
+    of_others: Flags
+    """(m, 2n), rows and drones of other cables that remain."""
+
+    together: Flags
+    """(m, m), both rows of one loss."""
+
+    leaves: Flags
+    """(m, 2n), rows and the drones of the lost robot."""
+
+    stay: Flags
+    """(2n, 2n), drones that may leave, and all others."""
+
+    beside: Flags
+    """(m, n), rows and whole cables."""
+
+    stay_beside: Flags
+    """(2n, n), drones that remain, and whole cables other than theirs."""
+
+    leave_beside: Flags
+    """(2n, n), drones of a lost robot, and whole cables."""
+
+    both_whole: Flags
+    """(n, n), pairs of whole cables."""
+
+    linked_beside: Flags
+    """(m, n), whether a row's cable and another one share a clasp."""
+
+    linked_ends: Flags
+    """(m, m), whether cables of rows share a clasp."""
+
+    @classmethod
+    def of(cls, after: AfterLoss) -> Compared:
+        """Return the pairs of what remains after losses."""
+        own = after.drone[:, None]
+        lost = after.lost[:, None]
+        drones = np.arange(after.motion.team.drones)
+        robot = drones // 2
+        whole = after.is_whole
+        others = (drones != own) & (robot != lost)
+        is_other = robot[:, None] != np.arange(len(whole))
+        remain = np.any(is_other.T[:, :, None] & whole[:, None], axis=0)
+        return cls(
+            others=others,
+            of_others=others & (robot != after.cable[:, None]),
+            together=(after.lost == lost) & (after.drone != own),
+            leaves=robot == lost,
+            stay=np.isin(robot, after.robots)[:, None] & (robot[:, None] != robot),
+            beside=whole[after.lost],
+            stay_beside=remain & is_other,
+            leave_beside=whole[robot],
+            both_whole=np.triu(np.any(whole[:, :, None] & whole[:, None], axis=0), 1),
+            linked_beside=after.linked[after.cable],
+            linked_ends=after.linked[np.ix_(after.cable, after.cable)],
+        )
+
+
+def _hanging_below(outline: Array, depths: Array, names: Sequence[str]) -> Bodies:
+    """Return the vertical regions from some corners (pieces, bodies, k, 3, degree + 1) [m] down.
+
+    They are ``depths`` (pieces, bodies) [m] deep below the lowest corner.
+    """
+    bottom = outline.copy()
+    bottom[..., 2, :] -= depths[:, :, None, None]
+    return Bodies(np.concatenate([outline, bottom], axis=2), names, outline=outline.shape[2])
+
+
+def _seen_from_above(regions: Bodies) -> Bodies:
+    """Return the outlines of vertical regions, at height 0."""
+    return replace(regions, corners=regions.corners[:, :, : regions.outline] * PLAN_AXES)
+
+
+def _swept_gap(spans: PairSpans) -> Bound:
+    """Return the distances [m] of triangles that chords sweep, or of chords, at least 0.
+
+    All but the last corner of a triangle are ends of the chord at the start and at the end.
+    """
+    chords, others = ((ends[:, :-1], ends[:, -1:]) for ends in spans.ends)
+    middles = [
+        np.concatenate(
+            [Enclosed(moving).middle.mean(axis=1, keepdims=True), Enclosed(still).middle], 1
+        )
+        for moving, still in (chords, others)
+    ]
+    along = unit(shortest_offset(differences(*middles)))
+    first, second = spans.ends
+    offsets = Enclosed(
+        (first[:, :, None] - second[:, None]).reshape(len(first), -1, *first.shape[2:])
+    )
+    distances = offsets.dot(along[:, None]).lower
+    return Bound(np.maximum(np.min(distances.value, axis=1), 0.0), np.zeros(len(first)))
 
 
 class Rows(TimeSpans):
@@ -346,7 +530,7 @@ def _need(rows: Rows) -> Bound:
     team = after.motion.team
     drone = after.drone[rows.item]
     tension = np.max(rows.read(after.tensions), axis=-1)
-    weight = 2.0 * after.half_density * after.lengths[rows.piece, rows.item]
+    weight = 2.0 * after.half_density * team.cable_length[drone // 2]
     own = GRAVITY * team.mass[drone]
     thrust = np.hypot(own + weight, tension) / team.max_thrust[drone]
     tilt = np.arctan2(tension, own) / after.motion.requirements.limits.tilt
@@ -354,20 +538,16 @@ def _need(rows: Rows) -> Bound:
 
 
 def _room(rows: Rows) -> Bound:
-    """Return 1 above the clearance that loose cables and drones lack to ground and walls [m]."""
+    """Return 1 above the clearance that drones lack to walls and the ceiling [m]."""
     after = rows.source
-    need = after.requirements
+    arena = after.requirements.arena
+    if arena is None:
+        return Bound(np.zeros(len(rows)), np.zeros(len(rows)))
     place = rows.read(after.place)
-    start = rows.read(after.start)
-    far = rows.read(after.far)
-    lowest = np.min([np.min(each[:, 2], axis=-1) for each in (place, start, far)], axis=0)
-    depth = after.depths[rows.piece, rows.item]
-    lacking = need.floor + need.ground_clearance - (lowest - depth)
-    if need.arena is not None:
-        lower, upper = need.arena.lower[:, None], need.arena.upper[:, None]
-        outside = np.max(np.concatenate([lower - place, place - upper], axis=1), axis=(1, 2))
-        highest = np.max(after.motion.drones.coefficients[rows.piece, :, 2], axis=(1, 2))
-        lacking = np.max([lacking, outside, highest + after.rise - need.arena.upper[2]], axis=0)
+    lower, upper = arena.lower[:, None], arena.upper[:, None]
+    outside = np.max(np.concatenate([lower - place, place - upper], axis=1), axis=(1, 2))
+    highest = np.max(after.motion.drones.coefficients[rows.piece, :, 2], axis=(1, 2))
+    lacking = np.maximum(outside, highest + after.rise - arena.upper[2])
     return Bound(1.0 + lacking, np.zeros(len(rows)))
 
 

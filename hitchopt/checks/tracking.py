@@ -6,9 +6,11 @@ straight between them. For two drones, it is half the shortest shift of their of
 their ellipsoids touch; for other bodies, the slack of checks divided by the approach of both. A
 hanging cable moves with its ends, and its depth changes. A cable that is drawn taut hangs no lower
 than before. Where errors could pull it taut, its drones move at no more than DRAWING_SPEED: faster
-ones would snap it. A laid cable is taut, as in a hitch: its drones pull it, and it moves with them.
-Neighbours that come down on each other are meant to touch: their order is that of the check
-``interlacing``, which errors do not change, since cables keep ``crossing`` where they slide in.
+ones would snap it. A cable that is loose after a loss may be pulled taut, as the check
+``loss_displacement`` assumes. A laid cable is taut, as in a hitch: its drones pull it, and it moves
+with them. Neighbours that come down on each other are meant to touch: their order is that of the
+check ``interlacing``, which errors do not change, since cables keep ``crossing`` where they slide
+in.
 
 If ``limits.tracking`` is larger vertically than horizontally, errors are within an ellipsoid with
 radius r and the same ratio of height and radius. Heights are divided by this ratio in all
@@ -34,7 +36,7 @@ from functools import partial
 import numpy as np
 
 from hitchopt.checks.arena import ARENA, drone_wall_gap
-from hitchopt.checks.bodies import drones_of
+from hitchopt.checks.bodies import LOOSE, drones_of
 from hitchopt.checks.cables import SPAN
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import CABLE_CLEARANCE, DRAWN, LAYING, OBJECT_CLEARANCE
@@ -155,7 +157,8 @@ def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
 
 def _span_radii(motion: Motion) -> Iterator[WorstCase]:
     """Yield the radii [m] with which free cables are as long as their chords."""
-    for states, excess in ((FREE_STATES - DRAWN - LAYING, _excess), (DRAWN, _excess_unless_slow)):
+    hanging = FREE_STATES - DRAWN - LAYING - LOOSE
+    for states, excess in ((hanging, _excess), (DRAWN, _excess_unless_slow)):
         for span in motion.spans(states):
             tightest = worst(Drones.of(span), excess, "min")
             cable = cable_names(span)[tightest.item // 2]
@@ -188,7 +191,7 @@ def _slack(check: Check) -> float:
 
 def _is_hanging(result: SpanResult) -> bool:
     """Return whether cables hang in a time span: neither taut nor replaced by their chords."""
-    others = ({CableState.GROUND}, DRAWN, LAYING)
+    others = ({CableState.GROUND}, DRAWN, LAYING, LOOSE)
     return result.states.isdisjoint(TAUT_STATES) and result.states not in others
 
 

@@ -3,8 +3,8 @@
 For DELAY, the others fly on; then the plan's clock stops. The lost robot's drones have dropped
 their cable and rise above all others, as the check ``survivable`` allows. There this plan begins:
 both neighbouring drones at its clasps move to where the remaining cables are an open chain in
-balance (``hitchopt.hitch.losses``), and tensions rise again. Until then cables count as being
-tightened.
+balance (``hitchopt.hitch.losses``), and tensions rise again. Until then cables are loose, as the
+check ``survivable`` assumes.
 """
 
 from __future__ import annotations
@@ -280,7 +280,7 @@ def _chain(
     still = np.broadcast_to(clasps[..., None], (lines.pieces, *clasps.shape, lines.degree + 1))
     ends = lines.coefficients
     points = np.concatenate([ends[:, :1], still, ends[:, -1:]], axis=1)
-    phase = Phase("reach", 0, 0.0, lines.duration, state=CableState.TIGHTENING)
+    phase = Phase("reach", 0, 0.0, lines.duration, state=CableState.LOOSE)
     reach = Motion.single(team, need, lines, [phase]).replaced(vertices=lines.replaced(points))
     seconds = rise_seconds(team)
     breaks = np.array([0.0, seconds])

@@ -36,8 +36,8 @@ SETTLE = "settle"
 class CableState(StrEnum):
     """State of the cables in a phase; the certificate verifies it from the polynomials.
 
-    While cables are not hitched, vertices, legs and tensions have no meaning; during tightening,
-    vertices are possible positions of the clasps.
+    While cables are not hitched, vertices, legs and tensions have no meaning; while they are being
+    tightened or loose after a loss, vertices are possible positions of the clasps.
 
     - ``GROUND``: cables lie at least partly on the ground; drones fly straight up or down.
     - ``CLASPING``: drones of neighbouring cables turn about each other.
@@ -46,6 +46,7 @@ class CableState(StrEnum):
       all vertices at rest.
     - ``DRAWN``: a hanging cable's drones move apart, at rest in height, until it is straight.
     - ``BENT``: each cable is taut on its own and bends around one side of an object.
+    - ``LOOSE``: cables hold each other, and none is taut since another one was lost at the start.
     """
 
     NONE = "none"
@@ -57,6 +58,7 @@ class CableState(StrEnum):
     LAYING = "being laid"
     ROLLING = "rolling"
     BENT = "bent around an object"
+    LOOSE = "loose after a loss"
     HITCHED = "hitched"
 
 
@@ -79,7 +81,7 @@ OPEN_STATES = frozenset({CableState.ROLLING})
 LAID_STATES = OPEN_STATES | {CableState.LAYING, CableState.BENT}
 """States in which neighbouring cables may lie across each other."""
 
-CLASPED_STATES = frozenset({CableState.CLASPING, CableState.TIGHTENING})
+CLASPED_STATES = frozenset({CableState.CLASPING, CableState.TIGHTENING, CableState.LOOSE})
 """States in which neighbouring cables may hold each other although no hitch exists."""
 
 

@@ -22,6 +22,7 @@ from .reading import (
     CONTACT_TOL,
     DRAWN,
     LAID,
+    LOOSE,
     ROLLING,
     TAUT_TOL,
     Plan,
@@ -141,6 +142,9 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
         if state == "clasping":
             middle = 0.5 * (c[on][:, 2 * p.clasps] + c[on][:, 2 * p.behind + 1])
             yield at, varies(middle, RESOLUTION), "drones do not turn about each other"
+        if state == LOOSE:
+            follows = i > 0 and p.phases[i - 1]["state"] != LOOSE
+            yield at, follows, "cables are loose without a loss at the start"
         if state == "being tightened":
             over = s.route_length(k).v.reshape(-1, p.n) - (1.0 - 1e-4) * p.length[:, 0]
             full = np.sum(p.h[on] * (over @ p.team[:, 0] > 0.0)) > 0.5 * np.sum(p.h[on])

@@ -25,7 +25,7 @@ from .arithmetic import (
 )
 from .cables import OPEN_ROLL, crossing_parts, has_tension
 from .catenary import catenary, catenary_depth
-from .reading import BENT, CROSSINGS, LAID, MIN_GAP, ROLLING, SAG_TOL, Plan
+from .reading import BENT, CROSSINGS, LAID, LOOSE, MIN_GAP, ROLLING, SAG_TOL, TIGHTENED, Plan
 from .shapes import distance, intersections, signed_distance
 from .spans import Fault, Row, Spans, fault_row, prove
 
@@ -243,7 +243,7 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     row = prove("interlacing 1 min", 0.0, pairs, decided)
     yield row.time, row.verdict != "proven", row.where
     i, j = np.minimum(*p.pair), np.maximum(*p.pair)
-    tied = p.formed[0] or p.state[0] == "being tightened"  # as at the start of a plan
+    tied = p.formed[0] or p.state[0] in (TIGHTENED, LOOSE)  # as at the start of a plan
     linked = np.full(len(p.clasps), float(tied))
     half_crossings[i, j, 0] = linked * (1 + p.two)
     if np.any(laid):

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from .arithmetic import (
     DEGREES,
+    POS_TOL,
     UP,
     Array,
     G,
@@ -30,13 +31,15 @@ from .arithmetic import (
     concatenate,
     minimum,
     norm,
+    normalize,
 )
 from .reading import Plan
-from .shapes import distance, prism_gap
+from .shapes import closest, distance, hull_distance, prism_gap
 from .spans import Row, Spans, fault_row, prove, worst_row
 
 TAUT_SHARE = 0.9  # least tension of a taut hitch, over the team's
 RISE = 2.1  # height of the rise of a lost robot's drones, over the semi-axis of ellipsoids
+SWEEPS = 4  # number of triangles that a chord sweeps on the way of its end
 STATED_TOL = 2e-3  # [m] tolerance of ways in the table ``after_loss``
 DAMPING_RATIO = 5.0 / 6.0  # of loops of which only the stiffness is stated
 STOCK = {  # gains kp, kd of controllers, horizontal and vertical, and whether they are per mass
@@ -44,6 +47,8 @@ STOCK = {  # gains kp, kd of controllers, horizontal and vertical, and whether t
     "lee": ((7.0, 7.0), (4.0, 4.0), True),
     "px4": ((1.71, 4.0), (1.8, 4.0), True),
 }
+
+Region = Callable[[Spans, Index], list[Line]]  # corners of bodies, for items of spans
 
 
 class Moves(NamedTuple):
@@ -149,15 +154,34 @@ def place_after(s: Spans, rows: Moves, j: Index) -> Line:
     return far + direction * cable * share
 
 
-def depth_of(s: Spans, rows: Moves, j: Index, ends: list[Line]) -> Array:
-    """Return how far loose cables hang at most below their ends (m, 1) [m]."""
-    p, far, drone = s.plan, s.point(rows.far[j]), rows.drone[j]
-    edge, leg = s.point(rows.clasp[j]) - far, s.point(drone) - s.point(rows.clasp[j])
-    sag = (p.weight / p.min_tension[s.piece, drone // 2, 0]) ** 2 / 24.0
-    longest = sum(x.norm().high * (1.0 + 1.3 * sag * x.norm().high ** 2) for x in (edge, leg))
-    nearest = distance(ends, [far]).low
-    squares = longest**2 - np.maximum(nearest, 0.0) ** 2
-    return np.asarray(0.5 * np.sqrt(np.maximum(squares, 0.0))[:, None])
+def end_region(s: Spans, rows: Moves, j: Index, clasp: Line) -> list[Line]:
+    """Return corners of vertical regions of cables from drones, by way of a clasp, to others.
+
+    They are below the drone, the place of the clasp, the far clasp and the other drone.
+    """
+    p, drone = s.plan, rows.drone[j]
+    start, other = s.point(drone), s.point(drone ^ 1)
+    level = distance([start[:2], place_after(s, rows, j)[:2]], [other[:2]]).low
+    squares = p.length[drone // 2, 0] ** 2 - np.maximum(level, 0.0) ** 2
+    depth = 0.5 * np.sqrt(np.maximum(squares, 0.0))[:, None]
+    corners = [start, clasp, s.point(rows.far[j]), other]
+    lowest = minimum(*(x[2] for x in corners)) - depth
+    return [*corners, concatenate(s.zero, s.zero, lowest) + start * (1.0 - UP)]
+
+
+def whole_region(s: Spans, k: Index) -> list[Line]:
+    """Return corners of vertical regions of cables between their drones and over both clasps."""
+    (q, r), p = s.ends(k), s.plan
+    corners = [q, s.point(p.begin[k]), s.point(p.end[k]), r]
+    lowest = minimum(*(x[2] for x in corners)) - s.hanging_depth(k)
+    return [*corners, concatenate(s.zero, s.zero, lowest) + q * (1.0 - UP)]
+
+
+def swept_gap(a: Sequence[Line], b: Sequence[Line]) -> Line:
+    """Return distances of triangles that chords sweep, with their ends at rest last."""
+    mean = [np.mean([x.v for x in ends[:-1]], axis=0) for ends in (a, b)]
+    w = normalize(closest(mean[0], a[-1].v, mean[1], b[-1].v))
+    return minimum(*((x - y).dot(w) for x in a for y in b))
 
 
 def pairs(allowed: Callable[[Any, Any], Any], first: Items, second: Items) -> Items:
@@ -172,91 +196,199 @@ def share(line: Line, limit: float) -> Line:
     return minimum(line * (1.0 / limit), 1.0)
 
 
+class Pairs(NamedTuple):
+    """Pairs of bodies that may meet after the same loss (m, 2).
+
+    Bodies are rows of moves (the drone, or its cable), drones i, and whole cables k, which keep
+    their clasps.
+    """
+
+    others: Items  # rows and drones that remain
+    both: Items  # both rows of a loss
+    leaving: Items  # rows and drones of the lost robot
+    staying: Items  # drones that may leave, and all others
+    beside: Items  # rows and whole cables
+    leave_beside: Items  # drones that may leave, and whole cables
+    stay_beside: Items  # drones that remain, and whole cables other than theirs
+    whole: Items  # two whole cables
+
+    @classmethod
+    def of(cls, p: Plan, rows: Moves) -> Pairs:
+        """Return all pairs of a plan."""
+        each, drones, cables = np.arange(len(rows.drone)), np.arange(p.N), np.arange(p.n)
+        whole = whole_cables(p, rows)
+        may_leave = np.flatnonzero(np.isin(drones // 2, rows.lost))
+        is_other = drones[:, None] // 2 != cables
+        remain = np.any(is_other.T[:, :, None] & whole[:, None], axis=0) & is_other
+        return cls(
+            pairs(lambda j, i: (i != rows.drone[j]) & (i // 2 != rows.lost[j]), each, drones),
+            pairs(lambda j, i: (rows.lost[j] == rows.lost[i]) & (i != j), each, each),
+            pairs(lambda j, i: rows.lost[j] == i // 2, each, drones),
+            pairs(lambda i, j: i // 2 != j // 2, may_leave, drones),
+            pairs(lambda j, k: whole[rows.lost[j], k], each, cables),
+            pairs(lambda i, k: whole[i // 2, k], drones, cables),
+            pairs(lambda i, k: remain[i, k], drones, cables),
+            pairs(lambda i, k: (i < k) & np.any(whole[:, i] & whole[:, k], axis=0), cables, cables),
+        )
+
+
+def whole_cables(p: Plan, rows: Moves) -> Mask:
+    """Return whether cables keep their clasps after the loss of one that may be lost (n, n)."""
+    whole = ~np.eye(p.n, dtype=bool)
+    whole[rows.lost, rows.drone // 2] = False
+    whole[~np.isin(np.arange(p.n), rows.lost)] = False
+    return whole
+
+
+def clasped_first(p: Plan, items: Items, cables: Items) -> tuple[Items, Items]:
+    """Return the pairs whose cables (m, 2) share a clasp, and the others."""
+    linked = np.zeros((p.n, p.n), dtype=bool)
+    linked[p.pair[0], p.pair[1]] = linked[p.pair[1], p.pair[0]] = True
+    shares = linked[cables[:, 0], cables[:, 1]]
+    return items[shares], items[~shares]
+
+
 def cases(p: Plan, rows: Moves, on: Mask) -> Iterator[Row]:
     """Prove that all distances after losses are kept, as shares of their limits, at most 1."""
-    count, names = len(rows.drone), [p.names[i] for i in rows.drone]
-    each, drones = np.arange(count), np.arange(p.N)
-    cable, points = rows.drone // 2, p.points.c[0]
-    may_leave = np.flatnonzero(np.isin(drones // 2, rows.lost))
+    compared, points = Pairs.of(p, rows), p.points.c[0]
     heights = points[on][:, : p.N, 2]
     spread = np.max(heights, axis=(1, 2)) - np.min(heights, axis=(1, 2))
     lift = largest_lift(p, rows, on)
     # The semi-axis of the ellipsoid that contains a drone's errors is 0.5 over the scale
-    rise = (RISE * 0.5 / float(p.scale[2]) + float(np.max(spread)) + lift) * UP
-    segments = p.segments
-    of_cable = segments[:, 2]
+    rise = RISE * 0.5 / float(p.scale[2]) + float(np.max(spread)) + lift
+    yield from separations(p, rows, on, compared, rise * UP)
+    yield from clearances(p, rows, on, compared, rise * UP)
+    yield from crossings(p, rows, on, compared)
+    yield from rest_rows(p, rows, on, rise)
 
-    def way(s: Spans, j: Index) -> list[Line]:
-        return [s.point(rows.drone[j]), place_after(s, rows, j)]
 
-    def loose(s: Spans, j: Index, *, at_first: bool = False) -> list[Line]:
-        start, place = way(s, j)
-        other = s.point(rows.clasp[j]) if at_first else place
-        ends = [start, start if at_first else place]
-        low = depth_of(s, rows, j, ends)
-        corners = [start, other, s.point(rows.far[j])]
-        lowest = minimum(*(x[2] for x in corners)) - low
-        below = concatenate(s.zero, s.zero, lowest)
-        return [*corners, start, below + start * (1.0 - UP)]
+def way(s: Spans, rows: Moves, j: Index) -> list[Line]:
+    """Return both ends of ways."""
+    return [s.point(rows.drone[j]), place_after(s, rows, j)]
 
-    def taut(s: Spans, j: Index) -> list[Line]:
-        return [place_after(s, rows, j), s.point(rows.far[j])]
 
-    def rising(s: Spans, i: Index) -> list[Line]:
-        return [s.point(i), s.point(i) + rise]
+def loose(s: Spans, rows: Moves, j: Index) -> list[Line]:
+    """Return corners of regions of cables whose ends are anywhere on their ways."""
+    return end_region(s, rows, j, place_after(s, rows, j))
+
+
+def proven(
+    p: Plan, on: Mask, items: Items, formula: Callable[..., Line], *names: Any
+) -> Iterator[Row]:
+    """Prove shares of limits, for all items with names of their columns."""
+    if len(items):
+        yield prove("survivable 1 min", 1.0, Spans.of(p, on, items, *names), formula)
+
+
+def separations(p: Plan, rows: Moves, on: Mask, by: Pairs, rise: Array) -> Iterator[Row]:
+    """Prove the distances of drones."""
+    moved, names = [p.names[i] for i in rows.drone], p.names
 
     def ratio(a: list[Line], b: list[Line]) -> Line:
         return share(distance([x * p.scale for x in a], [x * p.scale for x in b]), 1.0)
 
-    near = partial(distance, ratio=p.ratio)
-    apart_by = partial(prism_gap, ratio=p.ratio)
-    cable_limit, crossing_limit = p.cable_limit[1], p.crossing_limit[1]
-    others = pairs(lambda j, i: (i != rows.drone[j]) & (i // 2 != rows.lost[j]), each, drones)
-    of_others = others[others[:, 1] // 2 != cable[others[:, 0]]]
-    both = pairs(lambda j, i: (rows.lost[j] == rows.lost[i]) & (i != j), each, each)
-    leaving = pairs(lambda j, i: rows.lost[j] == i // 2, each, drones)
-    staying = pairs(lambda i, j: i // 2 != j // 2, may_leave, drones)
-    parts = np.arange(len(segments))
-    foreign = pairs(
-        lambda j, x: (of_cable[x] != cable[j]) & (of_cable[x] != rows.lost[j]), each, parts
-    )
-    not_own = pairs(lambda i, x: of_cable[x] != i // 2, may_leave, parts)
-    meets = np.array([[f in (p.begin[k], p.end[k]) for k in of_cable] for f in rows.far])
-    unclasped = foreign[~meets[foreign[:, 0], foreign[:, 1]]]
-    apart = both[rows.far[both[:, 0]] != rows.far[both[:, 1]]]
-    at, part_names, all_names = partial(Spans.of, p, on), p.segment_names, p.names
+    def rising(s: Spans, i: Index) -> list[Line]:
+        return [s.point(i), s.point(i) + rise]
 
-    def proven(items: Items, formula: Callable[..., Line], *columns: Any) -> Iterator[Row]:
-        if len(items):
-            yield prove("survivable 1 min", 1.0, at(items, *columns), formula)
-
-    yield from proven(others, lambda s, j, i: ratio(way(s, j), [s.point(i)]), names, all_names)
-    yield from proven(both, lambda s, j, i: ratio(way(s, j), way(s, i)), names, names)
-    yield from proven(
-        leaving, lambda s, j, i: ratio(way(s, j), [s.point(i) + rise]), names, all_names
-    )
-    yield from proven(
-        staying, lambda s, i, j: ratio(rising(s, i), [s.point(j)]), all_names, all_names
-    )
     for items, formula, columns in (
-        (foreign, lambda s, j, x: near(way(s, j), s.segment(x)), (names, part_names)),
-        (not_own, lambda s, i, x: near(rising(s, i), s.segment(x)), (all_names, part_names)),
-        (both, lambda s, j, i: apart_by(loose(s, j), way(s, i)), (names, names)),
-        (of_others, lambda s, j, i: apart_by(loose(s, j), [s.point(i)] * 2), (names, all_names)),
-        (others, lambda s, j, i: near(taut(s, j), [s.point(i)]), (names, all_names)),
+        (by.others, lambda s, j, i: ratio(way(s, rows, j), [s.point(i)]), (moved, names)),
+        (by.both, lambda s, j, i: ratio(way(s, rows, j), way(s, rows, i)), (moved, moved)),
+        (by.leaving, lambda s, j, i: ratio(way(s, rows, j), [s.point(i) + rise]), (moved, names)),
+        (by.staying, lambda s, i, j: ratio(rising(s, i), [s.point(j)]), (names, names)),
+    ):
+        yield from proven(p, on, items, formula, *columns)
+
+
+def clearances(p: Plan, rows: Moves, on: Mask, by: Pairs, rise: Array) -> Iterator[Row]:
+    """Prove the distances of cables to drones and the ground."""
+    moved, names, hung = [p.names[i] for i in rows.drone], p.names, p.cables
+    others = by.others
+    of_others = others[others[:, 1] // 2 != rows.drone[others[:, 0]] // 2]
+
+    def rising(s: Spans, i: Index) -> list[Line]:
+        return [s.point(i), s.point(i) + rise]
+
+    def resting(s: Spans, i: Index) -> list[Line]:
+        return [s.point(i)] * 2
+
+    def moving(s: Spans, j: Index) -> list[Line]:
+        return way(s, rows, j)
+
+    def by_way(s: Spans, j: Index) -> list[Line]:
+        return loose(s, rows, j)
+
+    def at_first(s: Spans, j: Index) -> list[Line]:
+        return end_region(s, rows, j, s.point(rows.clasp[j]))
+
+    def taut(s: Spans, j: Index, i: Index) -> Line:
+        edge = [place_after(s, rows, j), s.point(rows.far[j])]
+        return share(distance(edge, [s.point(i)], p.ratio), p.cable_limit[1])
+
+    yield from proven(p, on, others, taut, moved, names)
+    for items, first, second, columns in (
+        (by.beside, moving, whole_region, (moved, hung)),
+        (by.both, by_way, moving, (moved, moved)),
+        (of_others, by_way, resting, (moved, names)),
+        (by.stay_beside, resting, whole_region, (names, hung)),
+        (by.leave_beside, rising, whole_region, (names, hung)),
+        (by.leaving, at_first, rising, (moved, names)),
+    ):
+
+        def gap(s: Spans, i: Index, j: Index, a: Region = first, b: Region = second) -> Line:
+            return share(prism_gap(a(s, i), b(s, j), p.ratio), p.cable_limit[1])
+
+        yield from proven(p, on, items, gap, *columns)
+    least = p.floor + p.sep["cable"] + (p.ratio - 1.0) * 2.0 * p.tracking
+    each = np.arange(len(rows.drone))[:, None]
+    whole = np.flatnonzero(np.any(whole_cables(p, rows), axis=0))[:, None]
+    for items, region, column in ((each, by_way, moved), (whole, whole_region, hung)):
+
+        def height(s: Spans, j: Index, region: Region = region) -> Line:
+            """Return 1 where cables are clear of the ground, else less."""
+            return minimum(region(s, j)[-1][2] - least, 0.0) + 1.0
+
+        yield from proven(p, on, items, height, column)
+
+
+def crossings(p: Plan, rows: Moves, on: Mask, by: Pairs) -> Iterator[Row]:
+    """Prove the distances of cables that share no clasp, and of chords of those that do."""
+    moved, hung, cable = [p.names[i] for i in rows.drone], p.cables, rows.drone // 2
+
+    def by_way(s: Spans, j: Index) -> list[Line]:
+        return loose(s, rows, j)
+
+    def swept(s: Spans, j: Index) -> list[list[Line]]:
+        """Return triangles that chords sweep in turn."""
+        start, place = way(s, rows, j)
+        steps = [start + (place - start) * (x / SWEEPS) for x in range(SWEEPS + 1)]
+        return [[*ends, s.point(rows.drone[j] ^ 1)] for ends in pairwise(steps)]
+
+    def still(s: Spans, k: Index) -> list[list[Line]]:
+        return [s.ends(k)]
+
+    both, beside, whole = by.both, by.beside, by.whole
+    for items, cables, regions, chords, columns in (
         (
-            leaving,
-            lambda s, j, i: apart_by(loose(s, j, at_first=True), rising(s, i)),
-            (names, all_names),
+            *(beside, np.column_stack([cable[beside[:, 0]], beside[:, 1]])),
+            *((by_way, whole_region), (swept, still), (moved, hung)),
         ),
+        (both, cable[both], (by_way, by_way), (swept, swept), (moved, moved)),
+        (whole, whole, (whole_region, whole_region), (still, still), (hung, hung)),
     ):
-        yield from proven(items, lambda s, *k, f=formula: share(f(s, *k), cable_limit), *columns)
-    for items, formula, columns in (
-        (unclasped, lambda s, j, x: apart_by(loose(s, j), s.segment(x)), (names, part_names)),
-        (apart, lambda s, j, i: apart_by(loose(s, j), loose(s, i)), (names, names)),
-    ):
-        yield from proven(items, lambda s, *k, f=formula: share(f(s, *k), crossing_limit), *columns)
-    yield from rest_rows(p, rows, on, float(rise[2]))
+        clasped, apart = clasped_first(p, items, cables)
+
+        def gap(s: Spans, i: Index, j: Index, of: Any = regions) -> Line:
+            outlines = (
+                [x[:2] for x in region(s, k)[:-1]] for region, k in zip(of, (i, j), strict=True)
+            )
+            return share(hull_distance(*outlines), p.crossing_limit[1])
+
+        def past(s: Spans, i: Index, j: Index, of: Any = chords) -> Line:
+            gaps = [swept_gap(x, y) for x, y in product(of[0](s, i), of[1](s, j))]
+            return share(minimum(*gaps), POS_TOL)
+
+        yield from proven(p, on, apart, gap, *columns)
+        yield from proven(p, on, clasped, past, *columns)
 
 
 def largest_lift(p: Plan, rows: Moves, on: Mask) -> float:
@@ -312,15 +444,6 @@ def rest_rows(p: Plan, rows: Moves, on: Mask, rise: float) -> Iterator[Row]:
         yield prove("survivable 1 min", 1.0, s, room)
         drones = Spans.of(p, on, np.arange(p.N), p.names)
         yield prove("survivable 1 min", 1.0, drones, headroom)
-
-    def over_ground(s: Spans, j: Index) -> Line:
-        """Return 1 where loose cables are clear of the ground, else less."""
-        ends = [s.point(rows.drone[j]), place_after(s, rows, j)]
-        low = minimum(*(x[2] for x in [*ends, s.point(rows.far[j])]))
-        least = p.floor + p.sep["cable"] + (p.ratio - 1.0) * 2.0 * p.tracking
-        return minimum(low - depth_of(s, rows, j, ends) - least, 0.0) + 1.0
-
-    yield prove("survivable 1 min", 1.0, s, over_ground)
 
 
 def table_faults(

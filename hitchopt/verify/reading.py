@@ -45,11 +45,12 @@ EFFORT = 40_000_000  # effort of all proofs of a file, besides PER_FIRST of thei
 
 # States of cables
 CROSSINGS = {"on the ground": 0, "hanging free": 0, "being drawn taut": 0}
-CROSSINGS |= {"being tightened": 1, "hitched": 1}  # of both cables of a clasp
+CROSSINGS |= {"being tightened": 1, "loose after a loss": 1, "hitched": 1}  # of a clasp's cables
 LAID = "being laid"  # single taut cables
 ROLLING = "rolling"  # pairs between crossing and clasp
 CLASPING = "clasping"
 TIGHTENED = "being tightened"
+LOOSE = "loose after a loss"  # at the start of a plan, until a chain is tightened
 UNLINKED = {"on the ground", "hanging free"}  # no links
 DRAWN = "being drawn taut"  # single cables
 BENT = "bent around an object"  # single cables, with edges
@@ -468,9 +469,9 @@ class Plan:
         if not self.closed and n:
             self.pairs[[0, -1]] = [[0, 0], [N - 1, N - 1]]
         # Vertices of the hitch before or after each piece on which cables clasp (m, P, 3)
-        self.clasping = np.isin(self.state, (CLASPING, TIGHTENED))
+        self.clasping = np.isin(self.state, (CLASPING, TIGHTENED, LOOSE))
         self.tied, self.tied_vertices = np.zeros(m, bool), np.zeros((m, P, 3))
-        for piece in np.flatnonzero(self.clasping):
+        for piece in np.flatnonzero(self.clasping & (self.state != LOOSE)):
             run = np.flatnonzero(~self.clasping)
             before, after = run[run < piece][-1:], run[run > piece][:1]
             for near, end in ((after, 0), (before, -1)):

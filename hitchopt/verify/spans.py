@@ -21,7 +21,7 @@ from .arithmetic import (
     maximum,
     minimum,
 )
-from .reading import CLASPING, Plan
+from .reading import CLASPING, LOOSE, Plan
 
 Names = Sequence[Sequence[str]]
 Fault = tuple[float, bool, str]  # time [s], whether it applies, text
@@ -147,7 +147,7 @@ class Spans:
         return [q, r, q - depth * UP, r - depth * UP]
 
     def hull(self, k: Index, b: int = -1) -> list[Line]:
-        """Return corners of vertical regions that contain cables being clasped or tightened.
+        """Return corners of vertical regions that contain clasped, tightened or loose cables.
 
         In plan view they span the hull of the chord and of the route over the middles of turning
         pairs, or over the vertices, and over the vertices of the hitch before or after.
@@ -163,7 +163,18 @@ class Spans:
             ends.append([self.local(b, clasp), self.local(b, taut)])
         (a, c), (d, e) = ends
         q, r = self.ends(k, b)
-        return [q, a, c, e, d, r, (q + r - UP * p.length[k]) * 0.5]
+        loose = p.state[self.piece] == LOOSE
+        depth = np.where(loose[:, None], self.hanging_depth(k), 0.5 * p.length[k])
+        return [q, a, c, e, d, r, (q + r) * 0.5 - UP * depth]
+
+    def hanging_depth(self, k: Index) -> Array:
+        """Return how far cables hang at most below the middle of their ends (m, 1) [m].
+
+        They are in an ellipsoid of revolution about both ends.
+        """
+        level = self.q_to_r(k)[:2].norm().low[:, None]
+        squares = self.plan.length[k] ** 2 - np.maximum(level, 0.0) ** 2
+        return np.asarray(0.5 * np.sqrt(np.maximum(squares, 0.0)))
 
     def near_hulls(self, k: Index, x: Line, reach: float) -> Spans:
         """Return the spans on which points may be within a horizontal reach of cables' hulls."""

@@ -25,7 +25,18 @@ from .arithmetic import (
 from .cables import crossing_parts
 from .catenary import above_floor, catenary_links, lowest_height, own_cable_gap, shift
 from .links import bent_orders, replay
-from .reading import CLASPING, DRAWN, EXACT_RANGE, LAID, MIN_GAP, SAG_TOL, TIGHTENED, UNLINKED, Plan
+from .reading import (
+    CLASPING,
+    DRAWN,
+    EXACT_RANGE,
+    LAID,
+    LOOSE,
+    MIN_GAP,
+    SAG_TOL,
+    TIGHTENED,
+    UNLINKED,
+    Plan,
+)
 from .shapes import distance, hull_distance, prism_gap, signed_distance
 from .spans import MIN_TENSION, RESOLUTION, Row, Spans, prove
 
@@ -108,8 +119,9 @@ def free_cables(p: Plan) -> Iterator[Row]:
     pairs, foreign = np.triu_indices(p.n, 1), np.argwhere(np.arange(p.N)[:, None] // 2 != k)
     clasped = p.clasped[pairs] & ~np.isin(p.state, (*UNLINKED, DRAWN))[:, None]
     both = Spans.of(p, p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
-    taut, level = np.isin(p.state, (DRAWN, LAID)), ground | (p.state == DRAWN)
-    free, hanging = (Spans.of(p, on, k, p.cables) for on in (p.free, p.free & ~level))
+    errs, level = ~np.isin(p.state, (DRAWN, LAID, LOOSE)), ground | (p.state == DRAWN)
+    hangs = p.free & ~level & (p.state != LOOSE)
+    free, hanging = (Spans.of(p, on, k, p.cables) for on in (p.free, hangs))
     lying, tightened = Spans.of(p, p.free & level, foreign, *ends), p.state == TIGHTENED
     apart = p.clasping[:, None] & ~p.clasped[pairs]
     loose = Spans.of(p, apart, np.column_stack(pairs), p.cables, p.cables)
@@ -129,9 +141,9 @@ def free_cables(p: Plan) -> Iterator[Row]:
         """Return chords, longer by errors of both ends, over lengths.
 
         While cables are drawn taut, errors may make them straight if drones are slow. Laid ones are
-        taut.
+        taut, and ``loss_displacement`` assumes how loose ones may be pulled.
         """
-        chord, error = s.q_to_r(k), np.where(taut[s.piece, None], 0.0, 2.0 * p.tracking)
+        chord, error = s.q_to_r(k), np.where(errs[s.piece, None], 2.0 * p.tracking, 0.0)
         if p.ratio == 1.0:
             return (chord.norm() + error) * (1.0 / p.length[k])
         level, height = chord[:2].norm() + error, chord[2].norm() + error * p.ratio
@@ -153,14 +165,14 @@ def free_cables(p: Plan) -> Iterator[Row]:
     yield prove(*p.cable_limit, lying, lambda s, i, k: distance([s.point(i)[:2]], chord(s, k)))
     yield prove(*p.cable_limit, hanging, above_floor)
     # Distances of a point of a cable to both ends sum to at most its length
-    s = Spans.of(p, p.free & ~level, foreign, *ends)
+    s = Spans.of(p, hangs, foreign, *ends)
     total = sum(((s.point(s.item[:, 0]) - x).norm() for x in s.ends(s.item[:, 1])), s.zero)
     reach = (p.sep["cable"] + EXACT_RANGE) * p.ratio
     s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * reach)
     yield prove(*p.cable_limit, s, to_cable)
     yield prove("cable_loops m min", POS_TOL, s, to_sheet)
     own = np.column_stack([np.arange(p.N), np.arange(p.N) // 2])
-    yield prove(*p.cable_limit, Spans.of(p, p.free & ~level, own, *ends), own_cable_gap)
+    yield prove(*p.cable_limit, Spans.of(p, hangs, own, *ends), own_cable_gap)
     yield prove(*p.crossing_limit, loose, between_hulls)
     s = Spans.of(p, beside, foreign, *ends)
     s = s.near_hulls(s.item[:, 1], s.point(s.item[:, 0]), p.cable_limit[1] + EXACT_RANGE)
@@ -168,8 +180,8 @@ def free_cables(p: Plan) -> Iterator[Row]:
     longer = "cable_length ratio max", 1e-4  # bound of lengths along vertices
     s = Spans.of(p, tightened, k, p.cables)
     yield prove(*longer, s, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
-    yield from laid_cables(p)
-    yield from drawn_cables(p)
+    for further in (laid_cables, drawn_cables, loose_cables):
+        yield from further(p)
 
 
 def drawn_cables(p: Plan) -> Iterator[Row]:
@@ -202,6 +214,16 @@ def drawn_cables(p: Plan) -> Iterator[Row]:
             return rate * np.where(parting[k], 1.0, -1.0)[:, None]
 
         yield prove("drawn m²/s min", -RESOLUTION, s, drawing)
+
+
+def loose_cables(p: Plan) -> Iterator[Row]:
+    """Prove heights of cables that are loose after a loss over the ground."""
+
+    def height(s: Spans, k: Index) -> Line:
+        more: float = (p.ratio - 1.0) * p.settings["separation"]["cable"]
+        return (s.hull(k)[-1][2] - p.floor + more) * (1.0 / p.ratio)
+
+    yield prove(*p.cable_limit, Spans.of(p, p.state == LOOSE, range(p.n), p.cables), height)
 
 
 def laid_cables(p: Plan) -> Iterator[Row]:

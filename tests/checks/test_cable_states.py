@@ -77,6 +77,7 @@ def test_every_other_state_fails(name: str) -> None:
         ("approach", CableState.CLASPING),  # the time before a swap is not clasping
         ("swap 1", CableState.CLASPING),  # nor what follows: else nothing sees torn cables
         ("swap 1", CableState.TIGHTENING),
+        ("swap 1", CableState.LOOSE),  # a plan begins with a loss
     ],
 )
 def test_phases_do_not_cover_their_neighbours(first: str, state: CableState) -> None:

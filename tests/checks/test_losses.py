@@ -172,31 +172,50 @@ def test_what_no_loss_leaves_intact_is_refused_by_key(change: dict[str, Any], wo
         ho.solve(start, ho.Hold(1.0), limits=SURVIVE)
 
 
-@pytest.mark.parametrize("n", [4, 5])
+@pytest.mark.parametrize("n", [3, 4, 5])
 def test_all_that_may_meet_after_a_loss_is_compared(n: int) -> None:
-    """Pairs by counting: 2n drones move, of which two after one loss, in which two drones leave."""
-    (after,) = after_losses(plan_of(n, 2.2, 0.002).motion)
+    """Pairs by counting: 2n drones move, of which two after one loss, in which two drones leave.
+
+    The others' n - 1 cables are those of both, and n - 3 that keep their clasps.
+    """
+    (after,) = after_losses(plan_of(n, 2.4 if n == 3 else 2.2, 0.002).motion)
     counts = list[tuple[str, int]]()
     for case in after.cases():
         assert case.moving.second is not None
         assert case.moving.allowed is not None
         sizes = case.moving.first.shape[1], case.moving.second.shape[1]
-        counts.append((case.check, int(np.sum(case.moving.allowed(*np.indices(sizes))))))
-    moved, drones, parts = 2 * n, 2 * n, 3
+        pairs = np.broadcast_to(case.moving.allowed(*np.indices(sizes)), sizes)
+        counts.append((case.check, int(np.sum(pairs))))
+    moved, drones, whole = 2 * n, 2 * n, n - 3
+
+    def of(name: str) -> list[int]:
+        return [count for check, count in counts if check == name]
+
     ways = [moved * (drones - 3), moved, moved * 2]  # to those that stay, to each other, below two
     rising = [drones * (drones - 2)]
-    assert [count for check, count in counts if check == "separation"] == ways + rising
-    assert sorted(count for check, count in counts if check == "cable_clearance") == sorted(
+    assert of("separation") == ways + rising
+    foreign = {3: 0, 4: 4, 5: 8}[n]  # of a square, the only loss leaves those of two cables
+    assert sorted(of("cable_clearance")) == sorted(
         [
-            moved * parts * (n - 2),  # ways and cables other than their own and the lost one
+            moved * whole,  # ways and whole cables
             moved,  # loose cables and the other way
             moved * (drones - 4),  # loose cables and drones of other cables
             moved * (drones - 3),  # cables in their last places and all others
-            drones * parts * (n - 1),  # drones that rise and cables other than their own
+            n * foreign,  # drones of other cables than a whole one
+            drones * whole,  # drones that rise and whole cables
             moved * 2,  # loose cables and drones that rise
+            *(moved, n if whole else 0),  # loose and whole cables and the ground
         ]
     )
-    assert [count for check, count in counts if check == "crossing"] == [
-        moved * parts * (n - 3),  # loose cables and those without a common clasp
-        moved,  # both loose cables
+    clasped = {3: 1, 4: 0, 5: 0}[n]  # both loose cables of a triangle share a clasp
+    both_whole = {3: (0, 0), 4: (0, 0), 5: (0, 5)}[n]  # of a pentagon, two neighbours are whole
+    assert of("crossing") == [
+        moved * max(whole - 1, 0),
+        moved * (1 - clasped),
+        both_whole[0],
+    ]
+    assert of("interlacing") == [
+        4 * moved * min(whole, 1),
+        16 * moved * clasped,
+        both_whole[1],
     ]

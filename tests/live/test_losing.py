@@ -80,6 +80,38 @@ def test_the_certificate_states_by_when_tension_is_back(time: float) -> None:
         assert found.drones[-2:] == (f"q{row['robot']}", f"r{row['robot']}")
 
 
+def irregular(robots: int, seed: int) -> ho.Plan:
+    """Return the plan of a random morph of a hitch with weight and rolled legs that survives."""
+    rng = np.random.default_rng(seed)
+    drone = ho.Quadrotor(stiffness=4.75)
+    corners = ho.regular_polygon(robots, rng.uniform(0.9, 1.2)).vertices
+    corners = corners + rng.uniform(-0.1, 0.1, corners.shape)
+    longest = np.max(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1))
+    team = ho.Team(
+        robots,
+        longest + rng.uniform(0.7, 1.0),
+        tension=rng.uniform(0.2, 0.3),
+        cable_density=0.004,
+        release=True,
+        quadrotor=drone,
+    )
+    start = ho.Hitch.balanced(team, corners, 1.7, rng.uniform(-0.3, 0.3, robots))
+    moved = corners + rng.uniform(-0.08, 0.08, corners.shape)
+    return ho.solve(start, ho.Morph(moved), limits=ho.Limits(survive="cable"))
+
+
+@pytest.mark.parametrize(("robots", "seed"), [(3, 0), (3, 2), (4, 3), (5, 1), (6, 4)])
+def test_what_survives_has_a_certified_reaction(robots: int, seed: int, tmp_path: Path) -> None:
+    """For each robot, at a drawn time; the verifier proves one."""
+    plan = irregular(robots, seed)
+    assert plan.certificate["survivable"].worst == 1.0
+    times = np.random.default_rng(seed).uniform(0.0, plan.duration, robots)
+    answers = [plan.after_loss(robot, time) for robot, time in enumerate(times)]
+    assert all(answer.certificate.certified for answer in answers)
+    rows = second.verify(answers[seed % robots].save(tmp_path, picture=False))
+    assert {row.verdict for row in rows} <= second.PASSING
+
+
 @pytest.mark.slow
 def test_the_chain_is_untied_and_lands(tmp_path: Path) -> None:
     plan = square().after_loss(1, 1.5, how="land")

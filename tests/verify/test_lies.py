@@ -343,6 +343,7 @@ LIES = [
     Lie("form", "clasping is said to hang free", stated("clasping", "hanging free"), "interlacing"),
     Lie("form", "clasping is said to be tightening", stated("clasping", "being tightened"), "interlacing"),
     Lie("form", "hanging free is said to be on the ground", stated("hanging free", "on the ground"), "consistency"),
+    Lie("form", "tightening is said to follow a loss", stated("being tightened", "loose after a loss"), "consistency"),
     Lie("form", "tightening is said to be hitched", stated("being tightened", "hitched"), "cable_length"),
     Lie("form", "the hitch was there at first", everywhere("state", "hitched"), "cable_length"),
     Lie("form", "the hitch is never there", stated("hitched", "being tightened"), "consistency"),

@@ -398,7 +398,8 @@ class Task:
         """Return the task of a plan; UnsupportedError for drones without cables."""
         if not flight.has_cables:
             raise unsupported(Feature.SIMULATION, Neighbour.SINGLE_DRONES)
-        if any(each.motion.phases[0].state is CableState.TIGHTENING for each in flight.teams):
+        loose = CableState.TIGHTENING, CableState.LOOSE
+        if any(each.motion.phases[0].state in loose for each in flight.teams):
             raise unsupported(Feature.SIMULATION, Neighbour.LOOSE_CLASPS)
         t = sample_times(flight.duration, RATE)
         tied = [each for each in flight.teams if each.motion.team.has_cables]
