@@ -1,9 +1,10 @@
-"""Live flight: latency of retargets, of corrections by feedback, and of stops.
+"""Live flight: latency of retargets, of morphs like others, of feedback, and of stops.
 
 Usage: python -m benchmarks live [--retargets N] [--stops N] [--robots N ...]
 
 A hitch is steered to random goals at random times while it moves: polygons, single vertices, poses.
-Every answer is timed with its certificate, and every hundredth whole plan is certified anew.
+Every answer is timed with its certificate, and every hundredth whole plan is certified anew. Morphs
+to goals near an earlier plan's are timed with and without that plan.
 """
 
 from __future__ import annotations
@@ -79,6 +80,32 @@ def retargets(n: int, count: int, **team: Any) -> tuple[object, ...]:
     return n, kind, len(times), middle, high, accepted, f"{broken} of {checked}"
 
 
+SPREADS = {3: 0.03, 12: 0.01}
+"""Largest displacements of goals [m] from those of an earlier plan, by n; 0.01 m of others."""
+
+
+def morphs_like(n: int, count: int) -> tuple[object, ...]:
+    """Return the row of a team: latency [ms] without and with an earlier plan, and durations."""
+    rng, start = np.random.default_rng(n), hitch(n)
+    near = 0.9 * start.polygon.vertices + [0.2, 0.1]
+    earlier = ho.morph(start, near)
+    spread = SPREADS.get(n, 0.01)
+    times: dict[bool, list[float]] = {True: [], False: []}
+    ratios = []
+    for _ in range(count):
+        polygon = near + rng.uniform(-spread, spread, near.shape)
+        durations = {}
+        for is_like, latencies in times.items():
+            start_time = time.process_time()
+            plan = ho.morph(start, polygon, like=earlier if is_like else None)
+            plan.certificate.raise_if_violated()
+            latencies.append(1e3 * (time.process_time() - start_time))
+            durations[is_like] = plan.duration
+        ratios.append(durations[True] / durations[False])
+    quantiles = [np.quantile(times[is_like], [0.5, 0.99]).tolist() for is_like in (False, True)]
+    return n, count, *quantiles[0], *quantiles[1], float(np.mean(ratios)), max(ratios)
+
+
 def corrections(n: int, count: int = 3000) -> tuple[object, ...]:
     """Return the row of a team: time of a step of feedback [ms]."""
     start = hitch(n)
@@ -115,6 +142,11 @@ def main() -> None:
     table.section("Retargets", "n", "cables", "retargets", *columns)
     for n, team in product(options.robots, ({}, LOADED)):
         table.row(*retargets(n, options.retargets, **team))
+    plain = ("median [ms]", "p99 [ms]")
+    like = ("like another: median [ms]", "p99 [ms]", "mean duration ratio", "largest")
+    table.section("Straight morphs", "n", "goals", *plain, *like)
+    for n in options.robots:
+        table.row(*morphs_like(n, options.retargets))
     table.section("Corrections", "n", "median [ms]", "p99 [ms]")
     for n in options.robots:
         table.row(*corrections(n))

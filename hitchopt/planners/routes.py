@@ -91,6 +91,13 @@ def plan_along(
     from hitchopt.planners.timing.timed_motion import motion_along
 
     motion = motion_along(path, task.requirements, duration)
+    return _plan_of(task, path, motion, end, phase)
+
+
+def _plan_of(
+    task: StepTask, path: Path | None, motion: Motion, end: Hitch, phase: Phase
+) -> StepPlan:
+    """Return the plan of a motion along a path, as one phase."""
     phases = (phase.retimed(0.0, motion.duration),)
     return replace(task.plan_ending(motion.replaced(phases=phases), end), path=path)
 
@@ -144,6 +151,34 @@ def straight_plan(
         return task.plan_ending(rest, end)
     path = straight_path(task.hitch, end, task.requirements)
     return plan_along(task, path, end, phase, duration)
+
+
+def plan_like(
+    task: StepTask, earlier: Motion, end: Hitch, phase: Phase, duration: float | None = None
+) -> StepPlan:
+    """Return the certified plan like an earlier one between nearly the same hitches.
+
+    It is on the same route, moved to its own ends: of straight lines by the same clock as well,
+    stretched or shortened to the limits. Parameters are those of ``plan_along``.
+    """
+    from hitchopt.planners.morph.morph import straight_path
+    from hitchopt.planners.morph.retargeting import (
+        EarlierRoute,
+        motion_by_earlier_clock,
+        straight_progress,
+    )
+
+    progress = straight_progress(earlier)
+    if progress is None:
+        phase = replace(phase, remark="on the route of an earlier plan")
+        path = EarlierRoute.of(earlier).path(task.hitch, end)
+        return require_certified(plan_along(task, path, end, phase, duration))
+    path = straight_path(task.hitch, end, task.requirements)
+    motion = motion_by_earlier_clock(path, progress, task.requirements)
+    if motion is None or duration is not None:
+        return require_certified(plan_along(task, path, end, phase, duration))
+    phase = replace(phase, remark="by the clock of an earlier plan")
+    return require_certified(_plan_of(task, path, motion, end, phase))
 
 
 MAX_ROLLING = 4
@@ -425,7 +460,7 @@ def action_plan(
         rest = rest_motion(end, task.requirements, duration or IDLE, phase)
         return task.plan_ending(rest, end)
     phase = replace(phase, remark="; ".join(_remarks_on_drones(flown, action, reason)))
-    return _flown_plan(task, flown, end, phase)
+    return _plan_of(task, flown.path, flown.motion, end, phase)
 
 
 def rolling_action_plan(
@@ -447,17 +482,13 @@ def rolling_action_plan(
         remark = f"legs roll by up to {math.degrees(largest_roll(path)):.0f}° on the way"
         if flown.worst is not None:
             remark += f": limits bind at {flown.worst:.0%} of the path"
-        return require_certified(_flown_plan(task, flown, end, replace(phase, remark=remark)))
+        return require_certified(
+            _plan_of(task, path, flown.motion, end, replace(phase, remark=remark))
+        )
 
     paths = morph.rolling[:MAX_ROLLING] or [morph.path_by_law]
     rolling = [Candidate("rolling path", partial(along, path)) for path in paths]
     return first_certified(rolling, task.effort, task.progress)
-
-
-def _flown_plan(task: StepTask, flown: FlownAction, end: Hitch, phase: Phase) -> StepPlan:
-    """Return the plan of an action's motion."""
-    phases = (phase.retimed(0.0, flown.motion.duration),)
-    return replace(task.plan_ending(flown.motion.replaced(phases=phases), end), path=flown.path)
 
 
 def _remarks_on_drones(flown: FlownAction, action: Action, reason: str) -> list[str]:

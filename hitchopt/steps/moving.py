@@ -35,7 +35,7 @@ from hitchopt.planners.routes import (
     action_plan,
     blended_plan,
     past_obstacles,
-    plan_along,
+    plan_like,
     rolling_action_plan,
     straight_plan,
 )
@@ -437,17 +437,10 @@ class Morph(ShapeStep):
     def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
         """Yield the plan on the route of an earlier one, if any, before all others."""
         if self.like is not None:
-            yield Candidate("earlier route", partial(self._plan_like, task, self.like))
+            phase = Phase(self.name, task.index, 0.0, 0.0)
+            ends = self.end(task).hitch, phase, self.duration
+            yield Candidate("earlier route", partial(plan_like, task, self.like, *ends))
         yield from super().ways(task)
-
-    def _plan_like(self, task: StepTask, motion: Motion) -> StepPlan:
-        """Return the certified plan on the route of an earlier motion, moved to the step's ends."""
-        from hitchopt.planners.morph.retargeting import EarlierRoute
-
-        end = self.end(task).hitch
-        phase = Phase(self.name, task.index, 0.0, 0.0, "on the route of an earlier plan")
-        path = EarlierRoute.of(motion).path(task.hitch, end)
-        return require_certified(plan_along(task, path, end, phase, self.duration))
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan along straight lines."""

@@ -51,6 +51,47 @@ def test_other_routes_follow_if_the_earlier_one_is_refused(turned: ho.Plan) -> N
     assert plan.duration <= ho.morph(START, shrunk).duration * 3.0
 
 
+@pytest.mark.parametrize(("robots", "size"), [(3, 0.8), (5, 1.1)])
+def test_straight_morphs_take_over_the_clock(robots: int, size: float) -> None:
+    start = ho.Hitch.spread(ho.Team(robots, 2.4), ho.regular_polygon(robots, size))
+    goal = 0.9 * start.polygon.vertices + [0.3, 0.1]
+    first = ho.morph(start, goal)
+    rng = np.random.default_rng(robots)
+    other = goal + rng.uniform(-0.02, 0.02, goal.shape)
+    plan = ho.morph(start, other, like=first)
+    assert plan.phases[0].remark == "by the clock of an earlier plan"
+    np.testing.assert_allclose(plan.end.polygon.vertices, other, atol=1e-9)
+    # Nothing that its certificate states depends on the earlier plan
+    anew = ho.certify(plan.motion)
+    assert anew.certified
+    assert [check.worst for check in anew.limited] == [
+        check.worst for check in plan.certificate.limited
+    ]
+    fastest = ho.morph(start, other).duration
+    assert (1.0 - 1e-6) * fastest <= plan.duration <= 1.08 * fastest
+
+
+def test_between_its_own_ends_a_straight_morph_is_the_earlier_one() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.8))
+    goal = 0.9 * start.polygon.vertices + [0.3, 0.1]
+    first = ho.morph(start, goal)
+    again = ho.morph(start, goal, like=first)
+    assert again.duration == pytest.approx(first.duration, rel=1e-6)
+    t = np.linspace(0.0, first.duration, 50)
+    np.testing.assert_allclose(again.at(t).positions, first.at(t).positions, atol=1e-6)
+
+
+def test_straight_morphs_are_timed_anew_where_the_clock_does_not_suit() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.8))
+    near, far = ([[0.05, 0.0]], [[0.9, -0.7]])
+    first = ho.morph(start, start.polygon.vertices + near)
+    plan = ho.morph(start, start.polygon.vertices + far, like=first)
+    assert not plan.phases[0].remark
+    assert plan.duration == ho.morph(start, start.polygon.vertices + far).duration
+    timed = ho.morph(start, start.polygon.vertices + near, duration=2.0, like=first)
+    assert timed.duration == 2.0
+
+
 def test_plans_of_other_teams_are_refused(turned: ho.Plan) -> None:
     three = ho.Hitch.spread(ho.Team(robots=3, cable_length=2.4), ho.regular_polygon(3, 1.0))
     with pytest.raises(ho.InputError, match=r"like = .* a plan of a hitch of 3 robots"):

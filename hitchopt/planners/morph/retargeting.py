@@ -1,4 +1,4 @@
-"""Paths between nearly the same hitches as those of an earlier motion."""
+"""Paths and clocks between nearly the same hitches as those of an earlier motion."""
 
 from __future__ import annotations
 
@@ -8,9 +8,19 @@ import numpy as np
 
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import fitted_hitch
 from hitchopt.planners.path import EvenSamples, LegLaw, Path
+from hitchopt.planners.timing.clock import Clock
+from hitchopt.planners.timing.timed_motion import (
+    MAX_CABLE_ERROR,
+    MIN_DURATION,
+    cable_error,
+    in_duration,
+    motion_by,
+    needed_stretch,
+)
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -19,6 +29,48 @@ KNOTS = 33
 
 TIMES = 513
 """Number of times at which the earlier motion is sampled to space its shapes evenly."""
+
+STRAIGHT_TOLERANCE = 1e-9
+"""Largest distance of vertices from straight lines, flown together, over the longest of them."""
+
+MAX_STRETCH = 1.25
+"""Largest factor by which the clock of an earlier motion is stretched or shortened."""
+
+
+def straight_progress(motion: Motion) -> PiecewisePolynomial | None:
+    """Return the share of the way over time if all vertices fly straight in one phase, else None.
+
+    It is a scalar, the same for all vertices.
+    """
+    places = motion.vertices.reshaped(-1).coefficients
+    first = places[0, :, 0]
+    way = places[-1, :, -1] - first
+    longest = float(np.max(np.abs(way)))
+    if len(motion.phases) != 1 or longest == 0.0:
+        return None
+    moved = places - first[:, None]
+    share = way @ moved / (way @ way)
+    aside = moved - way[:, None] * share[:, None]
+    if np.max(np.abs(aside)) > STRAIGHT_TOLERANCE * longest:
+        return None
+    breaks = motion.vertices.breaks
+    return motion.vertices.replaced(share, breaks - breaks[0])
+
+
+def motion_by_earlier_clock(
+    path: Path, progress: PiecewisePolynomial, requirements: Requirements
+) -> Motion | None:
+    """Return the motion along a path by an earlier clock, stretched or shortened to its limits.
+
+    ``progress`` is s over time. None if the clock does not suit the path.
+    """
+    evenly = PiecewisePolynomial.constant(progress.breaks, 1.0)
+    motion = motion_by(path, requirements, Clock(progress.breaks, progress, evenly))
+    stretch = needed_stretch(motion)
+    is_near = MAX_STRETCH * min(stretch, 1.0 / stretch) >= 1.0
+    if not is_near or cable_error(motion) > MAX_CABLE_ERROR:
+        return None
+    return in_duration(motion, max(stretch * motion.duration, MIN_DURATION))
 
 
 @dataclass(frozen=True, eq=False)

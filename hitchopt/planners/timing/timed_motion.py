@@ -335,6 +335,9 @@ MAX_STRETCH = 1e6
 STRETCH_TOLERANCE = 1e-4
 """Relative tolerance of a stretch."""
 
+ROUNDING = 1e-9
+"""Relative difference of rates within which they may be equal."""
+
 
 def needed_stretch(motion: Motion) -> float:
     """Return the stretch in time with which a hitched motion satisfies its limits.
@@ -377,7 +380,10 @@ class RateBound(NamedTuple):
 
 
 def _rate_stretch(motion: Motion) -> float:
-    """Return the stretch in time with which speeds, accelerations and jerks keep their limits."""
+    """Return the stretch in time with which speeds, accelerations and jerks keep their limits.
+
+    Spans are computed of the pieces whose own coefficients exceed a rate attained elsewhere.
+    """
     limits = motion.requirements.limits
     bounds = (
         RateBound(motion.inner_ends.reshaped(-1, 3), 1, limits.vertex_speed),
@@ -386,10 +392,14 @@ def _rate_stretch(motion: Motion) -> float:
         RateBound(motion.drones, 3, limits.jerk),
     )
     factor = 1e-12  # of motions at rest
-    for chunk in _chunks(motion.team, np.arange(motion.drones.pieces)):
-        for points, order, limit in bounds:
+    for points, order, limit in bounds:
+        allowed = FINAL_SHARE * limit
+        sizes = column_lengths(points.differentiated(order).coefficients).max(axis=1, initial=0.0)
+        attained = max(float(np.max(sizes[:, [0, -1]])), allowed * factor**order)
+        critical = np.flatnonzero(sizes.max(axis=1) >= (1.0 - ROUNDING) * attained)
+        for chunk in _chunks(motion.team, critical):
             rate = float(np.max(length(_on_spans(points, chunk, order)), initial=0.0))
-            factor = max(factor, (rate / (FINAL_SHARE * limit)) ** (1.0 / order))
+            factor = max(factor, (rate / allowed) ** (1.0 / order))
     return factor
 
 
