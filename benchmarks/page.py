@@ -134,7 +134,8 @@ LIMITS = (
 
 FAMILIES_TEXT = (
     "Problems of `python -m benchmarks families`; starts and goals are certified first, none is "
-    "omitted, {proven} plans are proven."
+    "omitted, {proven} plans are proven. Over bound, median–largest: duration over what each "
+    "phase's slowest drone or vertex takes alone within speed and acceleration."
 )
 
 LIBRARIES_TEXT = (
@@ -158,6 +159,7 @@ class Result:
     verify: float | None = None  # processor time of ``hitchopt verify`` [s]
     excess: float | None = None  # of limits between a rival's samples, relative
     makespan: float | None = None  # of single drones [s]
+    over_bound: float | None = None  # duration of a family's plan over its lower bound
     remark: str = ""
 
 
@@ -304,7 +306,8 @@ def drawn(family: str, seed: int) -> Result:
     """Return the result of a problem of a family."""
     one = outcome(FAMILIES[family](seed), seed)
     counts = one.size, one.seconds, one.duration is not None, one.proven
-    return Result("family", family, seed, *counts, remark=one.refusal)
+    ratio = one.over_bound
+    return Result("family", family, seed, *counts, over_bound=ratio, remark=one.refusal)
 
 
 def flown(index: int) -> Result:
@@ -375,7 +378,9 @@ def family_rows(store: Store) -> Iterator[Sequence[str]]:
         results = store.of(family)
         if not results:
             continue
-        yield [f"`{family}`", count(results), times(results)]
+        ratios = [each.over_bound for each in results if each.over_bound is not None]
+        over_bound = f"{np.median(ratios):.2f}–{max(ratios):.2f}" if ratios else "–"
+        yield [f"`{family}`", count(results), times(results), over_bound]
 
 
 def proven_of(results: Sequence[Result]) -> str:
@@ -440,7 +445,7 @@ def page(store: Store, limit: float, machine: str, calls: dict[str, Counter[str]
             "",
             FAMILIES_TEXT.format(proven=proven_of(store.of(*SHOWN_FAMILIES))),
             *table(
-                ["family", "planned", "time [s]"],
+                ["family", "planned", "time [s]", "over bound"],
                 family_rows(store),
             ),
             "![Success rates](families.png)",

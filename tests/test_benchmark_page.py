@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +69,10 @@ def test_families_count_planned_and_proven_ones(tmp_path: Path) -> None:
     ]
     store = store_of(tmp_path, *form)
     (row,) = family_rows(store)
-    assert row == ["`form`", "3/4", "1–1"]
+    assert row == ["`form`", "3/4", "1–1", "–"]
+    ratios = [replace(each, over_bound=1.0 + each.index) for each in form]
+    ((*_, over_bound),) = family_rows(store_of(tmp_path / "ratios", *ratios))
+    assert over_bound == "2.50–4.00"
     assert proven_of(store.of("form")) == "2 of 3"
 
 

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from benchmarks.families import FAMILIES, Outcome, add_rows, outcome, wild_carry, wild_form
+from benchmarks.families import (
+    FAMILIES,
+    Outcome,
+    add_rows,
+    lower_bound,
+    outcome,
+    wild_carry,
+    wild_form,
+)
 from benchmarks.measuring import Table
 from problems.random_morph import is_certified
 
@@ -61,16 +69,30 @@ def test_a_planned_problem_is_proven_and_a_refused_one_names_its_limit() -> None
     assert (refused.duration, refused.refusal) == (None, "duration")
 
 
+def test_the_bound_is_that_of_the_slowest_point_from_rest_to_rest() -> None:
+    step = {"transport": {"to": [1.5, 0.0, 1.0]}}
+    polygon = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
+    problem = {
+        "team": {"robots": 3, "cable_length": 2.4},
+        "limits": {"speed": 1.0, "vertex_speed": 0.5, "acceleration": 2.0},
+        "start": {"hitch": {"polygon": polygon, "altitude": 1.0}},
+        "mission": [step, {"hold": {"seconds": 1.0}}],
+    }
+    plan = ho.solve(ho.problem_from_dict(problem))
+    assert lower_bound(plan) == pytest.approx(1.5 / 0.5 + 0.5 / 2.0, abs=1e-6)
+
+
 def test_rates_count_all_problems(tmp_path: Path) -> None:
     table = Table(tmp_path / "families.md", "Families", "none")
     refused = Outcome(7, 3, 2.0, None, proven=False, refusal="span")
     planned = [
-        Outcome(k, n, 1.0, 9.0, proven=True, refusal="") for k, n in ((1, 3), (2, 4), (3, 4))
+        Outcome(k, n, 1.0, 9.0, proven=True, refusal="", over_bound=1.0 + k)
+        for k, n in ((1, 3), (2, 4), (3, 4))
     ]
     add_rows(table, "form", [refused, *planned])
     rows = [line for line in table.path.read_text().splitlines() if line.startswith("| form")]
     assert rows == [
-        "| form | 3 | 2 | 1 | 1 | 50 % | 7 (span) | 1.5 | 2 |",
-        "| form | 4 | 2 | 2 | 2 | 100 % |  | 1 | 1 |",
-        "| form | all | 4 | 3 | 3 | 75 % | 7 (span) | 1 | 2 |",
+        "| form | 3 | 2 | 1 | 1 | 50 % | 7 (span) | 1.5 | 2 | 2 | 2 |",
+        "| form | 4 | 2 | 2 | 2 | 100 % |  | 1 | 1 | 3.5 | 4 |",
+        "| form | all | 4 | 3 | 3 | 75 % | 7 (span) | 1 | 2 | 3 | 4 |",
     ]

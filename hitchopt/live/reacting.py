@@ -42,5 +42,6 @@ class Player(player.Player):
         check_loss(self.flight, str(robot), time)
         seconds = self.pause()
         found = after_loss_at_rest(self.flight, str(robot), time, self.rest)
-        self.follow(found.flight, found.drones)
-        return seconds + found.flight.duration
+        flight = found.rising.followed_by(found.flight)
+        self.follow(flight, found.drones)
+        return seconds + flight.duration

@@ -15,7 +15,7 @@ from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import length, rotated
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
-from hitchopt.motion.motion import Motion, PhaseHold
+from hitchopt.motion.motion import Motion, Phase, PhaseHold
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import (
     CONTACT_GAP,
@@ -28,6 +28,7 @@ from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.holds import GripHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
+    AROUND_SPEED,
     LIFT_SPEED,
     GraspState,
     check_opens,
@@ -40,9 +41,10 @@ from hitchopt.planners.carrying.polygons import (
     grip_polygons,
     rest_polygons,
 )
-from hitchopt.planners.ends import RolledLegs
+from hitchopt.planners.compensation import with_friction_feedforward
+from hitchopt.planners.ends import RolledLegs, end_of_morph
 from hitchopt.planners.grasps import Closing, HoldJudge, altitude_around
-from hitchopt.planners.routes import OBSTACLE_CHECKS
+from hitchopt.planners.routes import OBSTACLE_CHECKS, plan_to_hitch
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
@@ -74,9 +76,6 @@ __all__ = [  # noqa: RUF022, in the order of the keys of problem files
     "Leave",
     "TransportObject",
 ]
-
-AROUND_SPEED = 0.15
-"""[m/s] Speed around an object."""
 
 OBJECT_MARGIN = 0.10
 """[m] Clearance of the lowest drone over objects, in addition to ``separation.radius``."""
@@ -231,11 +230,11 @@ class Enclose(Step):
         size = f"{rounded_up(radius, 2):.2g} m in radius"
         remedy = f"tie the hitch at its size around objects.{self.object} ({size})"
         check_opens(hitch, polygon.vertices, requirements, remedy)
-        above = self._above(task, polygon)
+        above = self._above(task, polygon, altitude)
+        parts = [above.motion]
         near = task.within(requirements, above.after)
         top = max(altitude_over(near, polygon), altitude)
         slow = at_around_speed(requirements)
-        parts = [above.motion]
         for height, within in ((top, requirements), (altitude, slow)):
             if near.hitch.altitude - height >= PLACE_TOLERANCE:
                 down = Transport(np.append(polygon.centroid, height))
@@ -245,24 +244,40 @@ class Enclose(Step):
         grasp = GraspState(self.object, polygons, task.before.team.tension)
         return StepPlan(step_motion(self, task, parts), replace(near.before, grasp=grasp))
 
-    def _above(self, task: StepTask, polygon: ConvexPolygon) -> StepPlan:
-        """Plan the change to a polygon at an altitude over all that is passed.
+    def _above(self, task: StepTask, polygon: ConvexPolygon, altitude: float) -> StepPlan:
+        """Plan the change to a polygon above an altitude [m], and over all that is passed.
 
-        The hitch changes as it travels, or else where it arrives.
+        A hitch that is higher descends as it changes, if it can, and one that travels changes on
+        the way, or else where it arrives.
         """
         hitch = task.hitch
-        altitude = max(hitch.altitude, altitude_over(task, polygon))
+        lowest = max(altitude_over(task, polygon), altitude)
+        level = max(hitch.altitude, lowest)
         start = hitch.polygon.centroid
-        rising = [Transport(np.append(start, altitude)).plan]
-        if altitude - hitch.altitude < PLACE_TOLERANCE:
+        rising = [Transport(np.append(start, level)).plan]
+        if level - hitch.altitude < PLACE_TOLERANCE:
             rising = []
         changing = Morph(polygon).plan
-        travelling = Transport(np.append(polygon.centroid, altitude)).plan
-        at_once = partial(certified_plan, partial(plan_in_sequence, [*rising, changing]), task)
-        there = partial(plan_in_sequence, [*rising, travelling, changing], task)
-        ways = [Candidate("way", at_once), Candidate("way", there)]
-        travels = np.max(np.abs(polygon.centroid - start)) >= PLACE_TOLERANCE
-        return first_certified(ways if travels else ways[:1], task.effort, task.progress)
+        travelling = Transport(np.append(polygon.centroid, level)).plan
+        orders = list[list[Callable[[StepTask], StepPlan]]]()
+        if level - lowest >= PLACE_TOLERANCE:
+            orders.append([partial(_descend, polygon, lowest)])
+        orders.append([*rising, changing])
+        if np.max(np.abs(polygon.centroid - start)) >= PLACE_TOLERANCE:
+            orders.append([*rising, travelling, changing])
+        last = orders.pop()
+        ways = [partial(certified_plan, partial(plan_in_sequence, order), task) for order in orders]
+        ways.append(partial(plan_in_sequence, last, task))
+        candidates = [Candidate("way", way) for way in ways]
+        return first_certified(candidates, task.effort, task.progress)
+
+
+def _descend(polygon: ConvexPolygon, altitude: float, task: StepTask) -> StepPlan:
+    """Plan the change to a polygon at another altitude [m]."""
+    level = end_of_morph(task.hitch, polygon, None, task.requirements).hitch
+    end = with_fields(level, altitude=altitude)
+    plan = plan_to_hitch(task, end, Phase("morph", task.index, 0.0, 0.0))
+    return with_friction_feedforward(plan, timed=False)
 
 
 def first_orientation(
@@ -425,7 +440,11 @@ class Grasp(TensionStep):
             hitches = [hold.hitch(body, planner.gap) for hold in closing]
             ends = [(each.polygon, RolledLegs(each.q_legs, each.roll)) for each in hitches]
             morphs = [Morph(*end).plan for end in ends]
-            closed = require_certified(plan_in_sequence(morphs, closing_task))
+            straight_task = replace(closing_task, optimiser=False)
+            at_once = partial(certified_plan, morphs[-1], straight_task)
+            in_turn = partial(certified_plan, partial(plan_in_sequence, morphs), closing_task)
+            ways = [Candidate("closing", at_once), Candidate("closing", in_turn)]
+            closed = first_certified(ways, task.effort)
             rising = planner.motion(moves, self.name)
             parts = [closed.motion, rising]
             motion = step_motion(self, task, parts, rising.phases[0].hold)

@@ -78,7 +78,9 @@ def check(motion: Motion, name: str) -> Check:
 def lifted(motion: Motion) -> Array:
     """Times at which the object is off its support."""
     lift, down = (next(p for p in motion.phases if p.name == n) for n in ("lift", "set_down"))
-    return np.linspace(lift.start + 1.6, down.end - 1.6, 301)
+    t = np.linspace(lift.start, down.end, 701)
+    assert motion.load_share is not None
+    return t[motion.load_share.at(t)[:, 0] > 1.0 - 1e-6]
 
 
 def with_body(motion: Motion, name: str, **changes: Any) -> Motion:

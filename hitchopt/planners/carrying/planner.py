@@ -28,11 +28,11 @@ from hitchopt.planners.carrying.moves import MAX_STEP_SLOPE, Move, SmoothLaw
 from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.values import Array
 
-LIFT_SPEED = 0.2
+LIFT_SPEED = 0.4
 """[m/s] Vertical speed with an object."""
 
-RIM_SPEED = 0.1
-"""[m/s] Speed of clasps toward a rim, or of those that grip."""
+AROUND_SPEED = 0.4
+"""[m/s] Largest speed of hitches around an object, and of clasps that grip it or rise to a rim."""
 
 BELOW_RIM = 0.01
 """[m] Depth of cables below a rim, in addition to ``separation.object``."""
@@ -40,7 +40,7 @@ BELOW_RIM = 0.01
 CARRY_ACCELERATION = 1.0
 """[m/s²] Largest acceleration of objects that are carried."""
 
-LIFT_ACCELERATION = 0.3
+LIFT_ACCELERATION = 0.8
 """[m/s²] Largest acceleration of objects that are lifted or set down."""
 
 CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing", "object_clearance")
@@ -62,7 +62,7 @@ acceleration [m/s²] of each."""
 TRIAL_HEIGHT = 1.0
 """[m] Height above its place at which a held object is tried."""
 
-LOAD_LAW = SmoothLaw(0.75)
+LOAD_LAW = SmoothLaw(0.3)
 """Law of changes of tensions, of friction feed-forward, and of weight from support to clasps."""
 
 MAX_SLOWINGS = 10
@@ -70,6 +70,9 @@ MAX_SLOWINGS = 10
 
 SLOWING_FACTOR = 1.5
 """Factor of a slowing if the required one is unknown."""
+
+SLOWING_BISECTIONS = 3
+"""Number of durations that are tried between the last two slowings."""
 
 SLOWING_RESERVE = 1.01
 """Factor of a slowing over the required one."""
@@ -223,9 +226,9 @@ class MovePlanner:
         """Return a pause [s] as a move."""
         return self.move(SmoothLaw(0.5 * seconds))
 
-    def _load_move(self, **changes: Any) -> Move:
+    def _load_move(self, tension: tuple[Array, Array] | None = None, **changes: Any) -> Move:
         """Return the move that changes loads of the hold, as fast as limits allow."""
-        return self.within_limits(self.move(LOAD_LAW, **changes))
+        return self.within_limits(self.move(LOAD_LAW, tension, **changes))
 
     def transfer(self, before: float, after: float) -> Move:
         """Return the move that changes the clasps' fraction of the weight."""
@@ -240,21 +243,21 @@ class MovePlanner:
         """Return the move that changes tensions (n,) [N] below the rim, if they differ."""
         if np.array_equal(before, after):
             return []
-        return [self._load_move(tension=(before, after), below=(self.gap, self.gap))]
+        return [self._load_move((before, after), below=(self.gap, self.gap))]
 
     def rim_move(self, before: float, after: float) -> Move:
         """Return the move between two depths below the rim [m], one of which is 0."""
         distance = max(before, after)
-        move = self.move(self._slow_law(distance), below=(before, after))
+        move = self.move(self._law_around(distance), below=(before, after))
         return self.within_limits(move)
 
-    def _slow_law(self, length: float) -> SmoothLaw:
-        """Return the law of a slow motion over a length [m]."""
+    def _law_around(self, length: float) -> SmoothLaw:
+        """Return the fastest law of a motion over a length [m] around the object."""
         limits = self.requirements.limits
         return SmoothLaw.fastest(
-            speed=RIM_SPEED / length,
-            acceleration=0.5 * limits.acceleration / length,
-            jerk=0.5 * limits.jerk / length,
+            speed=min(AROUND_SPEED, limits.vertex_speed) / length,
+            acceleration=limits.acceleration / length,
+            jerk=limits.jerk / length,
         )
 
     def carry(self, to: Array, speed: float) -> Move:
@@ -270,8 +273,10 @@ class MovePlanner:
         turned_arc = abs(float(to[3] - start[3])) * hold.reach
         length = distance + turned_arc
         is_vertical = bool(np.all(start[[0, 1, 3]] == to[[0, 1, 3]]))
-        of_object = LIFT_ACCELERATION if is_vertical else CARRY_ACCELERATION
-        acceleration = min(of_object, limits.acceleration, hold.largest_acceleration)
+        of_object = min(CARRY_ACCELERATION, hold.largest_acceleration)
+        if is_vertical:
+            of_object = LIFT_ACCELERATION
+        acceleration = min(of_object, limits.acceleration)
         law = SmoothLaw(0.5)
         if length > 0.0 and acceleration > 0.0:
             top_speed = min(speed, limits.speed, limits.vertex_speed)
@@ -316,15 +321,37 @@ class MovePlanner:
         Its remark names the last check that slowed it down.
         """
         unslowed = move.law.duration
+        cause = ""
+        too_fast = None
         for _ in range(MAX_SLOWINGS):
-            factor, cause = self._needed_slowing(move, checks)
+            factor, violated = self._needed_slowing(move, checks)
             if not 1.0 < factor < math.inf:
                 break
-            if cause:
-                remark = f"slowed down from {unslowed:.3g} s to keep {cause}"
-                move = replace(move, remark=remark)
+            if violated:
+                cause = violated
+                too_fast = move
             move = replace(move, law=move.law.slowed(SLOWING_RESERVE * factor))
-        return move
+        if too_fast is None:
+            return move
+        slow_enough = self._between(too_fast, move, checks)
+        remark = f"slowed down from {unslowed:.3g} s to keep {cause}"
+        return replace(slow_enough, remark=remark)
+
+    def _between(self, too_fast: Move, slow: Move, checks: Sequence[str]) -> Move:
+        """Return the fastest move between one that breaks a check and a slower one, by bisection.
+
+        If the slow one breaks a check, too, it is returned.
+        """
+        if self._needed_slowing(slow, checks)[0] > 1.0:
+            return slow
+        for _ in range(SLOWING_BISECTIONS):
+            factor = math.sqrt(slow.law.duration / too_fast.law.duration)
+            middle = replace(too_fast, law=too_fast.law.slowed(factor))
+            if self._needed_slowing(middle, checks)[0] > 1.0:
+                too_fast = middle
+            else:
+                slow = middle
+        return slow
 
     def _needed_slowing(self, move: Move, checks: Sequence[str]) -> tuple[float, str]:
         """Return the factor by which a move must be slowed, and which check requires it in words.
@@ -362,7 +389,7 @@ class MovePlanner:
         before = self.state.tension
         motions = [self._passage((before, before), (0.0, 1.0), "draw").motion]
         if np.any(before != after):
-            motions.append(self.motion([self._load_move(tension=(before, after))], "tighten"))
+            motions.append(self.motion([self._load_move((before, after))], "tighten"))
         return motions
 
     def open_grip(self, after: Array, name: str) -> Motion:
@@ -453,12 +480,16 @@ class MovePlanner:
         before, after = tension
         start, end = closure
         moves = list[Move]()
-        if np.any(before != between):
-            moves.append(self._load_move(tension=(before, between), closure=(start, start)))
+        if feedforward or np.any(before != between):
+            rising = (0.0, feedforward)
+            change = (before, between)
+            moves.append(self._load_move(change, closure=(start, start), friction_share=rising))
         planner = self.from_state(tension=between)
         moves.extend(planner.closure_moves(hold, start, end, feedforward))
-        if np.any(between != after):
-            moves.append(self._load_move(tension=(between, after), closure=(end, end)))
+        if feedforward or np.any(between != after):
+            falling = (feedforward, 0.0)
+            change = (between, after)
+            moves.append(self._load_move(change, closure=(end, end), friction_share=falling))
         return moves
 
     def _tensions_between(self, hold: GripHold, opened: Array | None) -> list[Array]:
@@ -494,22 +525,16 @@ class MovePlanner:
         self, hold: GripHold, start: float, end: float, friction_share: float
     ) -> Iterator[Move]:
         """Yield the moves from one closure to another, with friction feed-forward in between."""
-        if friction_share:
-            rising = (0.0, friction_share)
-            yield self._load_move(closure=(start, start), friction_share=rising)
         closures = np.unique([start, *hold.events, end])
         if start > end:
             closures = closures[::-1]
         for before, after in pairwise(closures.tolist()):
             path = hold.travel * abs(after - before)
             # Clasps that are tied where they grip do not move, but their drones may
-            law = self._slow_law(path) if path > 1e-6 else LOAD_LAW  # clasps move
+            law = self._law_around(path) if path > 1e-6 else LOAD_LAW  # clasps move
             constant = (friction_share, friction_share)
             move = self.move(law, closure=(before, after), friction_share=constant)
             yield self.within_limits(move)
-        if friction_share:
-            falling = (friction_share, 0.0)
-            yield self._load_move(closure=(end, end), friction_share=falling)
 
 
 MAX_SLOPE = 0.065

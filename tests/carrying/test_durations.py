@@ -1,0 +1,62 @@
+"""How long objects are carried: over the bound of speed and acceleration, and what slows moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.families import lower_bound
+from hitchopt.checks.clasps import BALANCE_LIMIT
+from hitchopt.motion.motion import Motion
+from hitchopt.planners.carrying.planner import AROUND_SPEED
+from hitchopt.values import Array
+from tests.helpers.carried_plans import check, plan
+from tests.helpers.groups import part
+from tests.helpers.plans import planned
+
+SAMPLES = 101
+"""Number of times at which speeds are compared."""
+
+OBJECTS = [
+    "tray",
+    "drum",
+    pytest.param("stone", marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_carries_take_at_most_two_and_a_half_times_their_bound(name: str) -> None:
+    assert plan(name).duration < 2.5 * lower_bound(plan(name))
+
+
+def speeds(motion: Motion, name: str) -> Array:
+    """Return the largest speeds [m/s] of clasps at times of a phase."""
+    phase = next(phase for phase in motion.phases if phase.name == name)
+    t = np.linspace(phase.start, phase.end, SAMPLES)
+    velocities = motion.vertices.differentiated().at(t)
+    largest: Array = np.max(np.linalg.norm(velocities, axis=-1), axis=-1)
+    return largest
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_clasps_around_an_object_are_slow(name: str) -> None:
+    for phase in ("grasp", "loosen", "leave"):
+        assert np.max(speeds(plan(name).motion, phase)) < 1.001 * AROUND_SPEED
+
+
+def test_hitches_descend_as_they_travel() -> None:
+    """From 1.4 m a hitch that encloses a tray at 0.6 m stops once, above it."""
+    motion = planned("carry_tray").motion
+    moving = speeds(motion, "enclose") > 0.05
+    starts = np.flatnonzero(~moving[:-1] & moving[1:])
+    assert len(starts) == 2
+    first = part(motion, "enclose", "enclose")
+    halfway = first.vertices.at(0.25 * first.duration)[0]
+    assert np.all(np.abs(halfway - first.vertices.at(0.0)[0])[[0, 2]] > 0.05)
+
+
+def test_moves_are_slowed_down_no_more_than_needed() -> None:
+    """Nothing balances a drum that swings on two clasps: it accelerates as little as counts."""
+    motion = part(planned("two_robots_drum").motion, "carry", "carry")
+    assert "equilibrium" in motion.phases[0].remark
+    assert 0.85 * BALANCE_LIMIT < check(motion, "equilibrium").worst <= BALANCE_LIMIT
