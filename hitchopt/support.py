@@ -15,7 +15,6 @@ from hitchopt.errors import InputError, UnsupportedError
 class Feature(StrEnum):
     """What a user requests: the rows of the table, and the subjects of messages."""
 
-    HITCH = "planning a hitch"
     LAYING = "laying and rolling"
     TWO_CABLES = "tying two cables around an object"
     HOLDING = "holding an object"
@@ -107,9 +106,6 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         )
         for feature in _ALONE
     },
-    (Feature.HITCH, Neighbour.KEEP_OUTS): Refusal(
-        "omitted unless single drones fly alone", "add objects with fixed=True", key="keep_out"
-    ),
     (Feature.LAYING, Neighbour.CHAINS): Refusal(
         "laying and rolling do not support an open chain: laying ties rings", "use by: swaps"
     ),

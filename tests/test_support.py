@@ -154,9 +154,6 @@ def carrying_time() -> float:
 
 
 RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
-    (Feature.HITCH, Neighbour.KEEP_OUTS): lambda: replace(
-        ho.load_problem(PROBLEMS / "triangle.yaml"), keep_out=(WALL,)
-    ),
     (Feature.LAYING, Neighbour.CHAINS): lambda: laid(CHAIN),
     (Feature.LAYING, Neighbour.WEIGHTLESS): lambda: laid(replace(HEAVY, cable_density=0.0)),
     (Feature.LAYING, Neighbour.LOADS): lambda: laid(LOADED),

@@ -279,6 +279,12 @@ class Prism(ByValue):
         """Slab of this body, as in objects."""
         return Slab(Section(self.polygon.vertices), self.lower, self.upper)
 
+    def as_object(self) -> SolidObject:
+        """Return the prism as a fixed object."""
+        base = np.append(np.mean(self.polygon.vertices, axis=0), self.lower)
+        section = Section(self.polygon.vertices - base[:2])
+        return SolidObject(section, upper=self.upper - self.lower, at=base, fixed=True)
+
     def clearance(self, points: Array) -> Clearance:
         """Return the distances of points (…, 3) [m] to the prism and the directions out of it."""
         return self.slab.clearance(points)

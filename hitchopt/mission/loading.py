@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.hitch.requirements import Limits, Prism, Separation
+from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.mission.objects import with_outlines
 from hitchopt.mission.others import NAME
 from hitchopt.mission.problem import (
@@ -34,7 +34,6 @@ from hitchopt.values.fields import (
     dict_of,
     keys_of,
     keys_schema,
-    list_of,
     mapping_of,
     suggest_keywords,
 )
@@ -42,7 +41,6 @@ from hitchopt.values.units import START_TIME
 
 FOREIGN = {
     False: {
-        "keep_out": "a hitch keeps clear of objects: add one with fixed: true to objects",
         "goal": "a hitch has a mission; goals are for single drones, team: {drones: 2}",
     },
     True: {"mission": "single drones have a goal; missions are for hitches, team: {robots: 3}"},
@@ -50,11 +48,8 @@ FOREIGN = {
 """Remedies for keys of the other kind of problem; True for problems of single drones."""
 
 
-MAX_PRISMS = 1000  # Maximum number of prisms in a file
-
-
 HITCH_FORM = keys_of(Problem)
-COMMON = {name: HITCH_FORM[name] for name in ("arena", "title", "objects", "others")}
+COMMON = {name: HITCH_FORM[name] for name in ("arena", "title", "objects", "others", "keep_out")}
 
 SWARM_FORM = {
     "team": Key(SWARM_TEAM, "The team", {"drones": 2}, "team"),
@@ -70,12 +65,6 @@ SWARM_FORM = {
         HITCH_FORM["separation"], kind=mapping_of(Separation, exclude=HITCH_SEPARATION)
     ),
     "arena": HITCH_FORM["arena"],
-    "keep_out": Key(
-        list_of(mapping_of(Prism), 0, MAX_PRISMS),
-        "Prisms that the drones stay out of",
-        name="keep_out",
-        default=(),
-    ),
     "duration": keys_of(Fly)["duration"],
     **COMMON,
     "objects": replace(

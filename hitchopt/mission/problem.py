@@ -46,7 +46,6 @@ from hitchopt.steps.step import (
     slack_split,
 )
 from hitchopt.steps.tying import Form, check_rollable
-from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, ByValue, Points, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
@@ -228,6 +227,7 @@ Start = HitchStart | Hitch | DronesStart
 
 MAX_TITLE = 200  # Maximum number of characters of a title
 MAX_STEPS = 1000  # Maximum number of steps in a file
+MAX_PRISMS = 1000  # Maximum number of prisms in a file
 
 TITLE = titles(MAX_TITLE)
 START = single_key(
@@ -417,7 +417,10 @@ class Problem(ByValue):
     """Missions of a team with a hitch, of single drones, or of several teams.
 
     Single drones are a ``Swarm`` that starts at positions (N, 3) [m] and whose steps are ``Fly``.
-    If they fly alone, ``keep_out`` has prisms that they stay out of.
+
+    ``keep_out`` has prisms that drones stay out of by ``Separation.radius``. Next to hitches they
+    are fixed ``objects`` named ``prism_0``, ``prism_1``, …, which cables and bodies stay out of,
+    too.
 
     Several teams are mappings by name: ``team`` has their teams, ``start`` their starts, and items
     of ``mission`` a step, or a sequence of steps, of some of them. The steps of an item begin
@@ -462,7 +465,10 @@ class Problem(ByValue):
         Mapping[str, Other],
         Key(OTHERS, "External plans in the same airspace, by name, at rest before and after"),
     ] = field(default_factory=dict)
-    keep_out: tuple[Prism, ...] = ()
+    keep_out: Annotated[
+        tuple[Prism, ...],
+        Key(list_of(mapping_of(Prism), 0, MAX_PRISMS), "Prisms that the drones stay out of"),
+    ] = ()
     rules: Sequence[Rule[Any]] = ()
     teams: Mapping[str, TeamMission] = field(init=False, repr=False)
 
@@ -477,6 +483,8 @@ class Problem(ByValue):
         for name, body in self.objects.items():
             check_instance(f"objects.{name}", body, SolidObject)
         object.__setattr__(self, "objects", dict(self.objects))
+        if self.kind != "swarm":
+            self._prisms_to_objects()
         if isinstance(self.team, Mapping):
             store(self, teams=self._resolved_teams())
         else:
@@ -491,9 +499,16 @@ class Problem(ByValue):
             own = TeamMission("", self.team, self.start, steps, requirements)
             for name, value in (("start", own.start), ("mission", own.steps), ("teams", {"": own})):
                 object.__setattr__(self, name, value)
-        if self.keep_out and self.kind != "swarm":
-            prisms = f"{len(self.keep_out)} prisms"
-            raise refused_value(Feature.HITCH, Neighbour.KEEP_OUTS, prisms)
+
+    def _prisms_to_objects(self) -> None:
+        """Replace the prisms of ``keep_out`` by fixed objects."""
+        for k, prism in enumerate(self.keep_out):
+            name = f"prism_{k}"
+            if name in self.objects:
+                bound = f"another name than that of keep_out[{k}]"
+                raise InputError(f"objects.{name}", name, bound, "rename the object")
+            self.objects[name] = prism.as_object()
+        object.__setattr__(self, "keep_out", ())
 
     def _requirements(self, team: Team, objects: Mapping[str, SolidObject]) -> Requirements:
         parts = self.limits, self.separation, self.arena, self.keep_out, objects

@@ -545,12 +545,23 @@ def setting_faults(p: Plan) -> Iterator[Fault]:
     for name, body in (asked.get("objects") or {}).items():
         sections.append((f"objects.{name}", body, _flat(own["objects"].get(name))))
     prisms = [*(asked.get("keep_out") or ())]
-    sections += [("keep_out", x, y) for x, y in zip(prisms, own["keep_out"], strict=False)]
+    found = [*own["keep_out"]] or [*prisms_of(p, len(prisms))]
+    sections += [("keep_out", x, y) for x, y in zip(prisms, found, strict=False)]
     time = float(p.breaks[0])
-    yield time, len(prisms) != len(own["keep_out"]), "keep_out has another number of prisms"
+    yield time, len(prisms) != len(found), "keep_out has another number of prisms"
     for path, stated, values in sections:
         for key, value in stated.items() if isinstance(stated, dict) else ():
             yield time, contradicts(key, value, values or {}), f"{path}.{key} is not as requested"
+
+
+def prisms_of(p: Plan, count: int) -> Iterator[dict[str, Any]]:
+    """Yield the prisms of plans with hitches, where they are fixed objects by their own names."""
+    bodies = {body.name: body for body in p.bodies if body.fixed}
+    for body in filter(None, (bodies.get(f"prism_{k}") for k in range(count))):
+        c, s = body.pose[3:]
+        outline = body.stem.core @ np.array([[c, s], [-s, c]]) + body.pose[:2]
+        lower, upper = (body.pose[2] + x for x in (body.stem.lower, body.stem.upper))
+        yield {"polygon": outline, "lower": lower, "upper": upper}
 
 
 def _flat(body: Any) -> dict[str, Any]:

@@ -194,11 +194,6 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ),
     ("mission[2]", {"hold": 2}, "[2].hold = 2: must be a mapping; write hold: {seconds: 1.0}"),
     ("mission[7].transport.height", 0.4, "height = 0.4: unknown key; did you mean to?"),
-    (
-        "keep_out",
-        [],
-        "[]: unknown key; a hitch keeps clear of objects: add one with fixed: true",
-    ),
     ("mission[2]", "release", "mission[2] = 'release': must be a mapping; write release: {}"),
     (
         "mission[2]",
