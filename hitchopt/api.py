@@ -164,8 +164,8 @@ def morph(
         speed, within a fixed amount of work.
     tension: range of tensions during the step [N].
     settle: where cables slid against friction, the step ends with motions that remove its
-        hysteresis, added to its duration; auto: vertices that moved over-travel, or drones swing; a
-        duration [s]: drones swing for it; or false.
+        hysteresis, added to its duration [s]; auto: vertices that moved over-travel, or drones
+        swing; a duration: drones swing for it; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None: unlimited.
     cost: a function of the hitch in motion in casadi, to be minimised together with the duration:
@@ -314,8 +314,8 @@ def form(
     assign: auto: choose which robot takes which edge, and which end is its q; fixed: in order.
     swap: how drones turn in pairs.
     settle: where cables slid against friction, the step ends with motions that remove its
-        hysteresis, added to its duration; auto: vertices that moved over-travel, or drones swing; a
-        duration [s]: drones swing for it; or false.
+        hysteresis, added to its duration [s]; auto: vertices that moved over-travel, or drones
+        swing; a duration: drones swing for it; or false.
     by: swaps: pairs of drones swap positions; laying: taut cables are laid on one another, and
         every pair rolls by half a turn.
     order: order of laying, robots from bottom to top; auto: alternating levels.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -292,8 +293,14 @@ def under_a_rim(radius: float, above: float) -> tuple[Motion, str]:
     return moved.replaced(requirements=replace(moved.requirements, objects=objects)), name
 
 
-@pytest.mark.parametrize("above", [0.0, 0.002, 0.02, 0.045])
-@pytest.mark.parametrize("radius", [0.125, 0.14, 0.25, 0.6])
+RIMS = [*product([0.125, 0.14, 0.25, 0.6], [0.0, 0.002, 0.02, 0.045])]
+"""Radii of rims, and heights above where cables leave the body [m]."""
+
+
+@pytest.mark.parametrize(
+    ("radius", "above"),
+    [pytest.param(*rim, marks=pytest.mark.slow if k % 5 else ()) for k, rim in enumerate(RIMS)],
+)
 def test_cables_that_hold_an_object_do_not_pass_through_its_rim(
     radius: float, above: float, tmp_path: Path
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -293,10 +293,22 @@ OBSTACLES = {
 }
 
 
-@pytest.mark.parametrize("ratio", [1.0, 2.5])
-@pytest.mark.parametrize("section", OBSTACLES)
+PLACES = [
+    *product(
+        [[0.1, 0.0, 0.6], [0.1, 0.0, -0.4], [0.45, 0.1, 0.3], [0.1, 0.45, 0.25], [0.5, 0.5, 0.02]],
+        OBSTACLES,
+        [1.0, 2.5],
+    )
+]
+"""Places of obstacles [m], their sections, and ratios of the axes of tubes."""
+
+
 @pytest.mark.parametrize(
-    "at", [[0.1, 0.0, 0.6], [0.1, 0.0, -0.4], [0.45, 0.1, 0.3], [0.1, 0.45, 0.25], [0.5, 0.5, 0.02]]
+    ("at", "section", "ratio"),
+    [
+        pytest.param(*place, marks=pytest.mark.slow if k % 5 else ())
+        for k, place in enumerate(PLACES)
+    ],
 )
 def test_single_drones_keep_all_distances_up_to_the_radius(
     at: list[float], section: str, ratio: float

@@ -10,7 +10,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -322,7 +321,7 @@ def test_mellingers_law_is_that_of_drone_controllers() -> None:
         faster = rates + 0.002 * random.standard_normal(3)
         cases.append((place, attitude, velocity, rates, goal, faster))
     told = subprocess.run(
-        [sys.executable, Path(__file__).with_name("reference_mellinger.py")],
+        [sys.executable, "-m", "tests.helpers.reference_mellinger"],
         input=json.dumps([[each.tolist() for each in case] for case in cases]),
         env=os.environ | {"SCIPY_ARRAY_API": "1"},
         capture_output=True,
