@@ -65,7 +65,7 @@ def test_verify_refuses_plans_with_other_prisms(stated: str, lie: str, tmp_path:
 
 
 def test_prisms_are_obstacles_to_all_teams() -> None:
-    hitch = {"polygon": [[-1.4, -0.1], [-1.1, 0.5], [-0.8, 0.0]], "altitude": 1.4}
+    hitch = {"polygon": [[-1.4, -3.1], [-1.1, -2.5], [-0.8, -3.0]], "altitude": 1.4}
     problem: dict[str, Any] = {
         "teams": {"a": {"robots": 3, "cable_length": 2.4}, "b": {"drones": 1}},
         "start": {"a": {"hitch": hitch}, "b": [[-0.6, 1.3, 1.0]]},
