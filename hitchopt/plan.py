@@ -213,9 +213,9 @@ class Plan(OneLine):
     def after_loss(self, robot: int | str, t: float, how: str = "hold") -> Plan:
         """Return the plan after the loss of a robot at time t [s].
 
-        It begins at rest: all have flown on for 0.1 s and stopped with the plan's clock, and the
-        lost robot's drones, the team ``lost``, have dropped their cable and risen. Of the others,
-        the team ``chain``, both neighbours at its clasps move to where the chain is in balance, and
+        It begins with the loss: all fly on for 0.1 s and stop with the plan's clock, and the lost
+        robot's drones, the team ``lost``, have dropped their cable and rise. Of the others, the
+        team ``chain``, both neighbours at its clasps move to where the chain is in balance, and
         tensions rise again. Its robots are numbered in the problem's order without the lost one.
 
         Parameters

@@ -283,8 +283,13 @@ def below_ground(flight: Flight) -> Check | None:
 
 
 def _between_teams(rule: CheckRule, flight: Flight) -> Check | None:
-    """Return the check of a rule between teams; for continuity, that of rests at their ends."""
-    return rest_continuity(flight.all_teams) if rule is CONTINUITY else check_across(rule, flight)
+    """Return the check of a rule between teams; for continuity, that of rests besides others."""
+    if rule is not CONTINUITY:
+        return check_across(rule, flight)
+    ends = [flown.motion.drones.breaks[[0, -1]].tolist() for flown in flight.all_teams]
+    first = min(begin for begin, _ in ends)
+    last = max(end for _, end in ends)
+    return rest_continuity(flight.all_teams, first, last)
 
 
 def _radius_between_teams(
@@ -302,12 +307,14 @@ def _radius_between_teams(
     return radius.check(report, report.limit(requirements), gamma)
 
 
-def rest_continuity(teams: Iterable[TeamMotion]) -> Check | None:
-    """Return the continuity of teams with rests before and after their motions."""
+def rest_continuity(teams: Iterable[TeamMotion], first: float, last: float) -> Check | None:
+    """Return the continuity of teams that rest before and after their motions.
+
+    The times from the ``first`` to the ``last`` one [s] count.
+    """
     checks = list[Check | None]()
     for flown in teams:
-        begin, end = flown.motion.drones.breaks[[0, -1]].tolist()
-        motion = padded(flown.motion, begin - 1.0, end + 1.0)
+        motion = padded(flown.motion, first, last)
         checks.append(_label(CONTINUITY.check(motion), flown))
     return worst_of(checks)
 

@@ -329,8 +329,8 @@ def abort(directory: Path, how: str | None, every: float) -> None:
 def react(directory: Path, lose: str, at: float, output: Path, then: str) -> None:
     """Plan what follows the loss of a robot in flight, and certify it.
 
-    Writes a plan to OUT. It begins at rest, once the others have stopped and the lost robot's
-    drones have dropped their cable and risen.
+    Writes a plan to OUT. It begins with the loss: all fly on for 0.1 s and stop, the lost robot's
+    drones rise, and the others form a chain.
     """
     from hitchopt.live.losing import after_loss_of
     from hitchopt.motion.plan_file import read_plan
@@ -341,17 +341,19 @@ def react(directory: Path, lose: str, at: float, output: Path, then: str) -> Non
     plan = ho.Plan(found.flight, found.certificate, f"Robot {lose} lost at {at:g} s")
     show_plan(plan.title, plan.flight, plan.certificate)
     plan.save(output)
-    begin = f"the plan begins {found.start:.3f} s after the loss"
     say(
-        f"{begin}: all rest where the plan is at t = {found.rest:.3f} s, and the drones of robot "
-        f"{lose} have risen by {found.rise:.3g} m"
+        f"after the loss, all rest within {found.stops:.3f} s, where the plan is at t = "
+        f"{found.rest:.3f} s; drones at the ends begin to move after {found.starts:.3f} s, and the "
+        f"chain is taut after {found.taut:.3f} s"
     )
     names = ", ".join(f"{own} is {old}" for own, old in found.robots.items())
     say(
         f"robots: {names}\ncertified; the plan is in {output}",
         directory=str(output),
-        starts_after=found.start,
+        stops=found.stops,
         rest=found.rest,
+        starts=found.starts,
+        taut=found.taut,
         rise=found.rise,
         robots=found.robots,
     )

@@ -50,7 +50,7 @@ from hitchopt.exports.tension import TensionPolicy
 from hitchopt.exports.verification import Flown, Verdict, verify
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.forces import SLACK
-from hitchopt.motion.flight import Flight
+from hitchopt.motion.flight import REST_RATE, Flight
 from hitchopt.motion.loads import ellipsoid_notes, tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import SavedPlan, write_plan
@@ -178,6 +178,9 @@ def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str
     yield from tracking_notes(flight)
     if any(each.motion.requirements.limits.survive is not None for each in flight.teams):
         yield "files do not react to the loss of a robot: stream the plan with hitchopt fly"
+    begin = float(flight.breaks[0])
+    if kind.flown_by and np.max(np.abs(flight.drones.at(begin, 1))) > REST_RATE:
+        yield "the plan begins in motion, as after a loss: only a stream continues with it"
     trim = 100.0 * float(np.max(np.linalg.norm(flight.team.trim, axis=1)))
     size = f"trims of drones, up to {trim:.3g} cm,"  # they turn with the heading
     if trim and kind.flown_by and kind.has_heading:

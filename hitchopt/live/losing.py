@@ -1,15 +1,21 @@
-"""The plan after the loss of a robot in flight.
+"""The plan after the loss of a robot in flight, from the loss on.
 
-For DELAY, the others fly on; then the plan's clock stops. The lost robot's drones have dropped
-their cable and rise above all others, as the check ``survivable`` allows. There this plan begins:
-both neighbouring drones at its clasps move to where the remaining cables are an open chain in
-balance (``hitchopt.hitch.losses``), and tensions rise again. Until then cables are loose, as the
-check ``survivable`` assumes.
+The lost robot's drones have dropped their cable. For DELAY, all fly on; then the plan's clock
+stops, and these drones rise above all others, as the check ``survivable`` allows. Both neighbouring
+drones at the cable's clasps move to where the remaining cables are an open chain in balance
+(``hitchopt.hitch.losses``), and tensions rise again. Until then cables are loose, as the check
+``survivable`` assumes.
+
+Candidates rise while the clock stops if limits allow, and let the ends move before the others are
+up if they stay clear; the last one does one after the other.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +24,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.losses import RISE, taut_runs
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import hull_distance, unit
 from hitchopt.hitch import Swarm, Team
 from hitchopt.hitch.losses import Losses, places_after_loss
 from hitchopt.hitch.requirements import Requirements
@@ -26,11 +32,22 @@ from hitchopt.hitch.team import OPEN, Assignment
 from hitchopt.live.abort import HOLD, Aborts, StoppedPlan, until_stop
 from hitchopt.motion.flight import Flight, TeamMotion, team_label
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase, concatenated
-from hitchopt.motion.retiming import resting, truncated
-from hitchopt.planners.forming.stages import SMOOTH, rise_seconds, straight_lines
+from hitchopt.motion.retiming import MIN_SPACING, padded, resting, shifted, slice_time, truncated
+from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.planners.candidates import Candidate, Effort, first_certified
+from hitchopt.planners.forming.stages import (
+    PAUSE,
+    SMOOTH,
+    line_progress,
+    on_lines,
+    rise_seconds,
+    straight_lines,
+)
 from hitchopt.planners.losses import DELAY
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, Indices, check_choice, known, nonnegative
+from hitchopt.trajectory.bernstein import same_degree
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
+from hitchopt.values import Array, Indices, check_choice, known, lazy, nonnegative
 from hitchopt.values.fields import with_fields
 
 CHAIN = "chain"
@@ -45,27 +62,48 @@ ASIDE = 3.0
 HOW = ("hold", "land")
 """What follows once the chain is taut."""
 
+MAX_USED = 0.7
+"""Largest share of a limit that stopping uses where drones rise in the meantime."""
+
+SAMPLES = 41
+"""Number of times at which drones on their ways are compared."""
+
+STARTS = 9
+"""Number of times from which ends may begin to move."""
+
 
 @dataclass(frozen=True, eq=False)
 class Remaining:
     """What remains after the loss of a robot."""
 
     flight: Flight
+    """The flight from the loss on."""
+
     certificate: Certificate
-    stopped: Flight
-    """The plan until its clock has stopped."""
 
-    rising: Flight
-    """What follows at once: the lost robot's drones rise, and all others rest."""
+    begin: float
+    """[s] Plan time at which it begins, at most MIN_SPACING from the loss; or that of a stop."""
 
-    start: float
-    """[s] Time from the loss to the start of the flight, at rest."""
+    reacts: float
+    """[s] Time from the loss until all react."""
+
+    stops: float
+    """[s] Time from the loss until the plan's clock has stopped."""
 
     rest: float
-    """[s] Time at which the plan's clock has stopped."""
+    """[s] Plan time at which it has stopped."""
+
+    starts: float
+    """[s] Time from the loss until drones at the ends of the chain begin to move."""
+
+    taut: float
+    """[s] Time from the loss until its tensions are back."""
 
     rise: float
-    """[m] How far the lost robot's drones have risen then."""
+    """[m] How far the lost robot's drones rise."""
+
+    lift: PiecewisePolynomial
+    """(1,) [m] How far they have risen, until they are up."""
 
     robots: dict[str, str]
     """Robots of the plan by those of the chain."""
@@ -90,74 +128,108 @@ def check_loss(flight: Flight, robot: str, time: float) -> None:
 def after_loss_at_rest(flight: Flight, robot: str, time: float, rest: float) -> Remaining:
     """Return the certified flight after a loss, where the clock stops at a plan time ``rest`` [s].
 
-    Errors are those of ``Plan.after_loss``.
+    It begins there. Errors are those of ``Plan.after_loss``.
     """
 
     def until_rest(motion: Motion) -> Motion:
         return truncated(motion, rest) if rest > JOINT else resting(motion, HOLD, first=True)
 
     stopped = flight.untimed.each_team(until_rest)
-    return after_loss_of(flight, robot, time, stop=StoppedPlan(rest, 0.0, rest, stopped))
+    stop = StoppedPlan(rest, 0.0, rest, stopped)
+    return _after_loss(flight, robot, time, stop, begin=stopped.duration, delay=0.0)
 
 
-def after_loss_of(
-    flight: Flight, robot: str, time: float, how: str = "hold", stop: StoppedPlan | None = None
-) -> Remaining:
+def after_loss_of(flight: Flight, robot: str, time: float, how: str = "hold") -> Remaining:
     """Return the certified flight after the loss of a robot; see ``Plan.after_loss``.
 
-    By default the clock stops as soon as it can, DELAY after the loss.
+    The clock stops as soon as it can, DELAY after the loss.
     """
     check_choice("how", how, HOW)
+    check_loss(flight, robot, time)
+    stop = until_stop(flight, min(time + DELAY, flight.duration))
+    found = _after_loss(flight, robot, time, stop, begin=time, delay=DELAY)
+    if how == "hold":
+        return found
+    landed = Aborts(found.flight).plan(found.flight.duration, "release_and_land").flight
+    return replace(found, flight=landed, certificate=_certified(landed, robot, time))
+
+
+def _certified(flight: Flight, robot: str, time: float) -> Certificate:
+    """Return the certificate of a flight after a loss at a plan time [s], with all limits kept."""
+    certificate = certify(flight)
+    if not certificate.certified:
+        raise infeasible_error(
+            certificate, flight, f"after the loss of {robot} at t = {time:.4g} s"
+        )
+    return certificate
+
+
+def _after_loss(
+    flight: Flight, robot: str, time: float, stop: StoppedPlan, begin: float, delay: float
+) -> Remaining:
+    """Return the flight after a loss at a plan time [s] that begins ``begin`` [s] in a stop.
+
+    It begins at a break within MIN_SPACING of that. The lost robot's drones rise after a ``delay``
+    [s] at the earliest.
+    """
     place = _place(flight, robot)
     flown = flight.teams[place.team]
     run = _taut_run(flown.motion, nonnegative("t", time), robot)
-    stop = stop or until_stop(flight, min(time + DELAY, flight.duration))
-    first_taut, last_taut = run.drones.breaks[[0, -1]]
-    if not first_taut - JOINT <= stop.rest <= last_taut + JOINT:
-        reason = f"the plan does not stop before t = {run.drones.breaks[-1]:.4g} s, when its hitch"
-        raise InfeasibleError([], f"loss of {robot} at t = {time:.4g} s: {reason} is not taut")
-    chain, leaving, rise = _motions_after(flown.motion, place.cable, stop.rest)
-    seconds = leaving.rising.duration
+    nearest = stop.flight.breaks[np.argmin(np.abs(stop.flight.breaks - begin))]
+    begin = float(nearest) if abs(nearest - begin) < MIN_SPACING else begin
+    end = max(stop.flight.duration, begin + max(delay, PAUSE))
+    stopping = {
+        each.name: shifted(slice_time(each.motion.untimed, begin, end), -begin)
+        for each in stop.flight.teams
+    }
+    tied = _TiedAtRest.of(flown.motion, run, place.cable, stopping[flown.name], stop.rest, robot)
     name = flown.name or CHAIN
     lost = f"{flown.name}-{LOST}" if flown.name else LOST
-    teams = [TeamMotion(name, chain), TeamMotion(lost, leaving.aside)]
-    waiting = resting(chain, seconds, first=True)
-    first = [TeamMotion(name, waiting), TeamMotion(lost, leaving.rising)]
-    for other in flight.teams:
-        if other is not flown:
-            stopped = next(each for each in stop.flight.teams if each.name == other.name)
-            teams.append(TeamMotion(other.name, resting(stopped.motion, chain.duration)))
-            first.append(TeamMotion(other.name, resting(stopped.motion, seconds)))
-    held = Flight(tuple(teams))
-    if how == "land":
-        held = Aborts(held).plan(held.duration, "release_and_land").flight
-    certificate = certify(held)
-    if not certificate.certified:
-        raise infeasible_error(certificate, held, f"after the loss of {robot} at t = {time:.4g} s")
-    start = stop.start - time + stop.seconds + seconds
+
+    def certified(schedule: _Schedule) -> Remaining:
+        chain = tied.chain(schedule)
+        teams = [TeamMotion(name, chain), TeamMotion(lost, tied.leaving(schedule))]
+        teams += [
+            TeamMotion(other.name, padded(stopping[other.name], 0.0, chain.duration))
+            for other in flight.teams
+            if other is not flown
+        ]
+        held = Flight(tuple(teams))
+        places = {name: _chain_places(flown.motion.team, place.cable), lost: _own(place.cable)}
+        drones = [
+            each.label(drone)
+            for part in teams
+            for each in [flown if part.name in places else part]
+            for drone in np.array(each.motion.team.drone_names)[places.get(part.name, ...)].tolist()
+        ]
+        return Remaining(
+            flight=held,
+            certificate=_certified(held, robot, time),
+            begin=begin,
+            reacts=delay,
+            stops=tied.stopping.duration,
+            rest=stop.rest,
+            starts=schedule.reach,
+            taut=chain.duration - HOLD,
+            rise=tied.rise,
+            lift=schedule.lift,
+            robots=_robots(flown, name, robot),
+            drones=tuple(drones),
+        )
+
+    candidates = (
+        Candidate("reaction", partial(certified, schedule)) for schedule in tied.schedules(delay)
+    )
+    return first_certified(candidates, Effort())
+
+
+def _robots(flown: TeamMotion, name: str, robot: str) -> dict[str, str]:
+    """Return the robots of a plan's team by those of the chain, of which one is lost."""
     labels = sorted(label for label in flown.motion.team.labels if label != _label(robot))
-    robots = {
+    return {
         team_label(name, str(number)): flown.label(str(label))
         for number, label in enumerate(labels)
     }
-    places = {name: _chain_places(flown.motion.team, place.cable), lost: _own(place.cable)}
-    drones = [
-        each.label(drone)
-        for part in teams
-        for each in [flown if part.name in places else part]
-        for drone in np.array(each.motion.team.drone_names)[places.get(part.name, ...)].tolist()
-    ]
-    return Remaining(
-        held,
-        certificate,
-        stop.flight,
-        Flight(tuple(first)),
-        start,
-        stop.rest,
-        rise,
-        robots,
-        tuple(drones),
-    )
 
 
 def _label(robot: str) -> int:
@@ -197,62 +269,271 @@ def _taut_run(motion: Motion, time: float, robot: str) -> Motion:
     raise InputError("t", time, bound, remedy)
 
 
-class _Leaving(NamedTuple):
-    """The drones of a lost robot."""
+class _Schedule(NamedTuple):
+    """When parts of a reaction begin [s]."""
 
-    rising: Motion
-    """Their flight up."""
+    lift: PiecewisePolynomial
+    """(1,) [m], how far the lost robot's drones have risen, up to the end of their rise."""
 
-    aside: Motion
-    """Their flight aside, above all others."""
-
-
-def _motions_after(motion: Motion, cable: int, time: float) -> tuple[Motion, _Leaving, float]:
-    """Return the motions of the chain and the lost drones after a stop at a plan time [s].
-
-    The last value is by how much these drones have risen before [m].
-    """
-    team = motion.team
-    limits = with_fields(motion.requirements.limits, survive=None, duration=None)
-    need = replace(motion.requirements, limits=limits)
-    drones = motion.drones.at(time)
-    vertices = motion.vertices.at(time)
-    losses = Losses.of(team.layout)
-    moves = losses.lost == cable
-    places, _ = places_after_loss(team, drones, vertices, motion.tensions.at(time))
-    balanced = drones.copy()
-    balanced[losses.drone[moves]] = places[moves]
-    heights = np.concatenate([drones[:, 2], balanced[:, 2]])
-    rise = RISE * need.with_reserve.separation.height + float(np.ptp(heights))
-    chain = _chain(motion, need, cable, drones, vertices, balanced)
-    level = np.concatenate([drones, balanced])[:, :2] - np.mean(drones, axis=0)[:2]
-    reach = float(np.max(np.linalg.norm(level, axis=1)))
-    return chain, _leaving(team, need, cable, drones, rise, reach), rise
+    reach: float
+    """[s] Time at which drones at the ends of the chain begin to move."""
 
 
-def _leaving(
-    team: Team, need: Requirements, cable: int, drones: Array, rise: float, reach: float
-) -> _Leaving:
-    """Return the flight of a cable's drones aside, above all others, after they have risen.
+@dataclass(frozen=True, eq=False)
+class _TiedAtRest:
+    """A hitch that has stopped after the loss of a cable, and where its drones go."""
 
-    All others are within ``reach`` [m] from the middle of all drones, seen from above.
-    """
-    own = _own(cable)
-    swarm = Swarm(2, quadrotor=[team.kinds[drone] for drone in own])
-    above = drones[own] + [0.0, 0.0, rise]
-    outward = np.mean(drones[own], axis=0) - np.mean(drones, axis=0)
-    outward = unit(outward * [1.0, 1.0, 0.0])
-    offsets = (above - np.mean(drones, axis=0)) @ outward
-    distance = max(0.0, reach + ASIDE * need.with_reserve.separation.radius - np.min(offsets))
-    aside = above + _within(need, above, distance * outward)
-    limits = need.limits.with_reserve
+    motion: Motion
+    """The hitch."""
 
-    def straight(name: str, start: Array, end: Array) -> Motion:
-        """Return the flight on straight lines."""
-        lines = straight_lines(swarm, limits, start, end)
-        return Motion.single(swarm, need, lines, [Phase(name, 0, 0.0, lines.duration)])
+    need: Requirements
+    """Requirements of what follows."""
 
-    return _Leaving(straight("rise", drones[own], above), straight("aside", above, aside))
+    cable: int
+    """The lost cable."""
+
+    stopping: Motion
+    """The hitch from the loss to the rest, as planned."""
+
+    drones: Array
+    """(2n, 3) [m] at rest."""
+
+    vertices: Array
+    """(points, 3) [m] at rest."""
+
+    balanced: Array
+    """(2n, 3) [m], with both ends of the chain in balance."""
+
+    @classmethod
+    def of(
+        cls, motion: Motion, run: Motion, cable: int, stopping: Motion, rest: float, robot: str
+    ) -> _TiedAtRest:
+        """Return the hitch at a plan time ``rest`` [s], where it is as at the end of a taut run.
+
+        Raises InfeasibleError if it has moved since.
+        """
+        first_taut, last_taut = run.drones.breaks[[0, -1]].tolist()
+        taut = min(max(rest, first_taut), last_taut)
+        drones = motion.drones.at(taut)
+        moved = np.max(np.abs(motion.drones.at(rest) - drones))
+        if moved > REST_DRIFT:
+            reason = f"the plan does not stop before t = {last_taut:.4g} s, when its hitch"
+            raise InfeasibleError([], f"loss of {robot}: {reason} is not taut")
+        vertices = motion.vertices.at(taut)
+        losses = Losses.of(motion.team.layout)
+        moves = losses.lost == cable
+        places, _ = places_after_loss(motion.team, drones, vertices, motion.tensions.at(taut))
+        balanced = drones.copy()
+        balanced[losses.drone[moves]] = places[moves]
+        limits = with_fields(motion.requirements.limits, survive=None, duration=None)
+        need = replace(motion.requirements, limits=limits)
+        return cls(motion, need, cable, stopping, drones, vertices, balanced)
+
+    @property
+    def rise(self) -> float:
+        """[m] Height by which the lost robot's drones rise, above all others."""
+        heights = np.concatenate([self.drones[:, 2], self.balanced[:, 2]])
+        height = RISE * self.need.with_reserve.separation.height
+        return height + float(np.ptp(heights))
+
+    @lazy
+    def places(self) -> Indices:
+        """The drones of the chain, in order along it."""
+        return _chain_places(self.motion.team, self.cable)
+
+    @lazy
+    def team(self) -> Team:
+        """The team of the chain."""
+        return _chain_team(self.motion.team, self.places[::2] // 2)
+
+    @lazy
+    def swarm(self) -> Swarm:
+        """Both drones of the lost robot."""
+        kinds = self.motion.team.kinds
+        return Swarm(2, quadrotor=[kinds[drone] for drone in _own(self.cable)])
+
+    @lazy
+    def points(self) -> Indices:
+        """Vertices of the chain, with the clasps that vanish, or its own ends."""
+        layout = self.motion.team.layout
+        cables = self.places[::2] // 2
+        return np.append(layout.starts[cables], layout.ends[cables[-1]])
+
+    @lazy
+    def reach(self) -> Motion:
+        """The motion of the drones at the ends of the chain to their places, from rest.
+
+        Cables have their lengths over its vertices: those at the ends move with the drones there.
+        """
+        start = self.drones[self.places]
+        end = self.balanced[self.places]
+        clasps = self.vertices[self.points]
+        moved = np.concatenate([end[:1], clasps[1:-1], end[-1:]])
+        progress = line_progress(self.team, self.need.limits.with_reserve, start, end)
+        return self._loose(
+            "reach", on_lines(progress, start, end), on_lines(progress, clasps, moved)
+        )
+
+    def _loose(
+        self, name: str, drones: PiecewisePolynomial, vertices: PiecewisePolynomial
+    ) -> Motion:
+        """Return a motion of the chain with loose cables."""
+        begin, end = drones.breaks[[0, -1]].tolist()
+        phase = Phase(name, 0, begin, end, state=CableState.LOOSE)
+        motion = Motion.single(self.team, self.need, drones, [phase])
+        return motion.replaced(vertices=vertices)
+
+    def schedules(self, delay: float) -> Iterator[_Schedule]:
+        """Yield the schedules, the shortest one first; the last one does one after the other."""
+        at_rest = self._lift(self.stopping.duration, np.zeros((3, 2)))
+        for lift in (self._lift_while_stopping(delay), at_rest):
+            if lift is not None:
+                yield _Schedule(lift, self._soonest_reach(lift))
+        yield _Schedule(at_rest, float(at_rest.breaks[-1]))
+
+    def _lift(self, begin: float, used: Array) -> PiecewisePolynomial:
+        """Return the rise (1,) [m], from a time [s] on, with what limits leave.
+
+        ``used`` (3, 2) are level and upright speeds, accelerations and jerks of the motion besides.
+        """
+        names = ("speed", "acceleration", "jerk")
+        limits = self.need.limits.with_reserve
+        left = [
+            math.sqrt(max(getattr(limits, name) ** 2 - level**2, 0.0)) - upright
+            for name, (level, upright) in zip(names, used.tolist(), strict=True)
+        ]
+        limits = with_fields(limits, **dict(zip(names, left, strict=True)))
+        start = self.drones[_own(self.cable)]
+        progress = line_progress(self.swarm, limits, start, start + [0.0, 0.0, self.rise])
+        lift = self.rise * progress.coefficients[:, None]
+        rest = np.zeros((1, *lift.shape[1:]))
+        breaks = np.append(0.0, begin + progress.breaks)
+        return PiecewisePolynomial(breaks, np.concatenate([rest, lift]))
+
+    def _lift_while_stopping(self, delay: float) -> PiecewisePolynomial | None:
+        """Return the rise from a delay [s] on; None if limits leave too little."""
+        curve = self.stopping.drones
+        own = _own(self.cable)
+        used = np.zeros((3, 2))
+        limits = self.need.limits.with_reserve
+        for order, row in enumerate(used, 1):
+            rates = curve.differentiated(order).coefficients[:, own]
+            row[:] = (
+                np.max(np.linalg.norm(rates[:, :, :2], axis=2)),
+                np.max(np.abs(rates[:, :, 2])),
+            )
+        most = [limits.speed, limits.acceleration, limits.jerk]
+        if delay >= self.stopping.duration or np.any(
+            np.sum(used, axis=1) > MAX_USED * np.array(most)
+        ):
+            return None
+        return self._lift(max(delay, PAUSE), used)
+
+    def _soonest_reach(self, lift: PiecewisePolynomial) -> float:
+        """Return the first time [s] from which the ends reach their places clear of the others.
+
+        Times are sampled: what follows is certified.
+        """
+        rests = self.stopping.duration
+        lifted = float(lift.breaks[-1])
+        reach = self.reach
+        times = np.linspace(0.0, reach.duration, SAMPLES)
+        drones = reach.drones.at(times)
+        vertices = reach.vertices.at(times)
+        ends = drones[:, [0, -1]]
+        first = np.concatenate([drones[:, :2], vertices[:, :2]], axis=1)
+        last = np.concatenate([drones[:, -2:], vertices[:, -2:]], axis=1)
+        cables = np.stack([first, last], axis=1)  # corners of their regions
+        own = self.drones[_own(self.cable)]
+        need = self.need.with_reserve
+        level = hull_distance(own[:, None, None, None, :2], cables[..., :2])  # (2, times, ends)
+        top = np.max(cables[..., 2], axis=-1)
+        begins: list[float] = np.linspace(min(rests, lifted), lifted, STARTS).tolist()
+        for begin in begins:
+            heights = lift.at(np.minimum(begin + times, lifted))
+            lost = own + heights[:, :, None] * [0.0, 0.0, 1.0]
+            gaps = (lost[:, :, None] - ends[:, None]) * need.separation.scale
+            above = (lost.swapaxes(0, 1)[..., 2, None] - top) / need.height_ratio
+            if (
+                np.min(np.linalg.norm(gaps, axis=-1)) >= 1.0
+                and np.min(np.maximum(level, above)) >= need.separation.cable
+            ):
+                return max(begin, rests)
+        return max(lifted, rests)
+
+    def chain(self, schedule: _Schedule) -> Motion:
+        """Return the motion of all cables but one, from the loss on: loose, then under tension."""
+        reach = self.reach
+        stopping = self._loose(
+            "stop",
+            self.stopping.drones.replaced(self.stopping.drones.coefficients[:, self.places]),
+            self.stopping.vertices.replaced(self.stopping.vertices.coefficients[:, self.points]),
+        )
+        parts = [stopping]
+        waits = schedule.reach - stopping.duration
+        if waits > JOINT:
+            wait = Phase("wait", 0, 0.0, waits, state=CableState.LOOSE)
+            parts.append(resting(reach, waits, wait, first=True))
+        seconds = rise_seconds(self.team)
+        breaks = np.array([0.0, seconds])
+        drones, vertices = reach.drones.ends()[1][-1], reach.vertices.ends()[1][-1]
+        legs = np.linalg.norm(drones - vertices[self.team.layout.anchors], axis=1)
+        rising = self.team.tension[:, None] * SMOOTH
+        tightened = Motion(
+            self.team,
+            self.need,
+            drones=PiecewisePolynomial.constant(breaks, drones),
+            vertices=PiecewisePolynomial.constant(breaks, vertices),
+            legs=PiecewisePolynomial.constant(breaks, legs.reshape(-1, 2)),
+            tensions=PiecewisePolynomial(breaks, rising[None]),
+            phases=(Phase("tension", 0, 0.0, seconds),),
+        )
+        held = resting(tightened, HOLD, Phase("hold", 1, 0.0, HOLD))
+        return concatenated([*parts, reach, tightened, held])
+
+    def leaving(self, schedule: _Schedule) -> Motion:
+        """Return the flight of the lost robot's drones, up and aside."""
+        own = _own(self.cable)
+        lift = schedule.lift
+        end = max(self.stopping.duration, float(lift.breaks[-1]))
+        planned = padded(self.stopping, 0.0, end).drones
+        breaks = merged_breaks([planned.breaks, lift.breaks])
+        planned = on_breaks(planned, breaks)
+        lift = on_breaks(_held_until(lift, end), breaks)
+        path, lifted = same_degree(planned.coefficients[:, own], lift.coefficients)
+        path[:, :, 2] += lifted
+        rising = PiecewisePolynomial(breaks, path)
+        above = self.drones[own] + [0.0, 0.0, self.rise]
+        aside = straight_lines(
+            self.swarm, self.need.limits.with_reserve, above, above + self._aside()
+        )
+        parts = [
+            Motion.single(self.swarm, self.need, lines, [Phase(name, 0, 0.0, lines.duration)])
+            for name, lines in (("rise", rising), ("aside", aside))
+        ]
+        return concatenated(parts)
+
+    def _aside(self) -> Array:
+        """Return the move (3,) [m] of the lost robot's drones away from all others, above them."""
+        drones = self.drones
+        own = _own(self.cable)
+        middle = np.mean(drones, axis=0)
+        outward = unit((np.mean(drones[own], axis=0) - middle) * [1.0, 1.0, 0.0])
+        level = np.concatenate([drones, self.balanced])[:, :2] - middle[:2]
+        reach = float(np.max(np.linalg.norm(level, axis=1)))
+        offsets = (drones[own] - middle) @ outward
+        radius = self.need.with_reserve.separation.radius
+        distance = max(0.0, reach + ASIDE * radius - np.min(offsets))
+        return _within(self.need, drones[own], distance * outward)
+
+
+def _held_until(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
+    """Return a curve that stays at its end until a time [s]."""
+    if end - curve.breaks[-1] <= JOINT:
+        return curve
+    last = np.broadcast_to(curve.coefficients[-1:, ..., -1:], curve.coefficients[-1:].shape)
+    breaks = np.append(curve.breaks, end)
+    return PiecewisePolynomial(breaks, np.concatenate([curve.coefficients, last]))
 
 
 def _within(need: Requirements, points: Array, move: Array) -> Array:
@@ -264,39 +545,6 @@ def _within(need: Requirements, points: Array, move: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(move[:2] == 0.0, np.inf, room / np.abs(move[:2]))
     return np.asarray(move * float(np.clip(np.min(shares), 0.0, 1.0)))
-
-
-def _chain(
-    motion: Motion, need: Requirements, cable: int, drones: Array, vertices: Array, balanced: Array
-) -> Motion:
-    """Return the motion of all cables but one from rest: to balanced places, and under tension."""
-    layout = motion.team.layout
-    places = _chain_places(motion.team, cable)
-    cables = places[::2] // 2
-    team = _chain_team(motion.team, cables)
-    clasps = vertices[layout.starts[cables[1:]]]
-    end = balanced[places]
-    lines = straight_lines(team, need.limits.with_reserve, drones[places], end)
-    still = np.broadcast_to(clasps[..., None], (lines.pieces, *clasps.shape, lines.degree + 1))
-    ends = lines.coefficients
-    points = np.concatenate([ends[:, :1], still, ends[:, -1:]], axis=1)
-    phase = Phase("reach", 0, 0.0, lines.duration, state=CableState.LOOSE)
-    reach = Motion.single(team, need, lines, [phase]).replaced(vertices=lines.replaced(points))
-    seconds = rise_seconds(team)
-    breaks = np.array([0.0, seconds])
-    legs = np.linalg.norm(end - points[-1, :, :, -1][team.layout.anchors], axis=1).reshape(-1, 2)
-    rising = team.tension[:, None] * SMOOTH
-    tightened = Motion(
-        team,
-        need,
-        drones=PiecewisePolynomial.constant(breaks, end),
-        vertices=PiecewisePolynomial.constant(breaks, points[-1, ..., -1]),
-        legs=PiecewisePolynomial.constant(breaks, legs),
-        tensions=PiecewisePolynomial(breaks, rising[None]),
-        phases=(Phase("tension", 0, 0.0, seconds),),
-    )
-    held = resting(tightened, HOLD, Phase("hold", 1, 0.0, HOLD))
-    return concatenated([reach, tightened, held])
 
 
 def _own(cable: int) -> Indices:

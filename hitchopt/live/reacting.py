@@ -42,6 +42,5 @@ class Player(player.Player):
         check_loss(self.flight, str(robot), time)
         seconds = self.pause()
         found = after_loss_at_rest(self.flight, str(robot), time, self.rest)
-        flight = found.rising.followed_by(found.flight)
-        self.follow(flight, found.drones)
-        return seconds + flight.duration
+        self.follow(found.flight, found.drones)
+        return seconds + found.flight.duration

@@ -56,7 +56,8 @@ class Other(ByValue):
             names = ", ".join(check.name for check in certificate.violated)
             bound = f"a plan whose certificate holds, unlike {names}"
             raise InputError("plan", self.plan, bound, "solve its problem again")
-        if (rest := rest_continuity(self._teams)) is not None and not rest.holds:
+        whole = Flight(self._teams).breaks[[0, -1]] + [-1.0, 1.0]
+        if (rest := rest_continuity(self._teams, *whole.tolist())) is not None and not rest.holds:
             names = ", ".join(rest.where)
             bound = f"a plan at rest at its start and end, unlike {names} at t = {rest.time:.4g} s"
             raise InputError("plan", self.plan, bound, "end it with hold")

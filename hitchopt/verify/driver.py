@@ -47,10 +47,10 @@ DISTANCES = "separation", "cable_clearance", "crossing", "object_clearance", "ke
 ERRING = frozenset({*DISTANCES, "arena", "ground", "legs", "span"})
 
 
-def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
+def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
     """Check jumps of curves at joints of pieces, as sums over time, and jumps of thrusts and pulls.
 
-    With ``rests``, the plan must be at rest at its ends.
+    Plans ``rest`` at the start, or the end, from which on others fly before, or after.
     """
     bodies, both = [body.name for body in p.bodies], (p.taut[1:] & p.taut[:-1])[:, None]
 
@@ -73,7 +73,7 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
         if np.any(p.bent):  # inner ends of legs
             values += summed(p.points.c[k][:, p.anchor], p.names, both)
         values += summed(p.legs.c[k], p.names, both)
-        for (curve, names), end in product(curves, (0, -1) if rests and k else ()):
+        for (curve, names), end in product(curves, rests if k else ()):
             time = repeat(float(p.breaks[end]))
             values += zip(norm(curve[end, ..., end]).tolist(), time, names, strict=False)
     yield worst_row("continuity", "m", 1e-6, values)
@@ -264,8 +264,12 @@ def proofs(
     exact = [p.without_errors() for p in own]
     rows = [row for p in exact for row in (*requested(p), *plan_rows(p))]
     if len(own) + len(others) > 1:
-        rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
-        rows += (row for row in rests if row.name == "continuity")
+        every = [*own, *others]
+        first, last = min(p.breaks[0] for p in every), max(p.breaks[-1] for p in every)
+        for p in every:
+            earlier, later = p.breaks[0] > first + POS_TOL, p.breaks[-1] < last - POS_TOL
+            ends = [0] * bool(earlier) + [-1] * bool(later)
+            rows += (row for row in jumps(p, ends) if row.name == "continuity")
     rows += [row for p in own for row in losses(p, stated)]
     rows += between_teams(exact, others, (0.0, 0.0))
     tube = max(p.tube[0] for p in own), max(p.tube[1] for p in own)

@@ -68,7 +68,7 @@ def test_setpoints_are_those_of_the_plan_its_stop_and_the_chain(robot: int) -> N
     until = states.t <= time + 0.1
     planned = plan.motion.drones.at(states.t[until])
     np.testing.assert_allclose(states.positions[until], planned, atol=1e-9)
-    rests = states.t >= found.stopped.duration
+    rests = states.t >= found.begin + found.stops
     stays = np.setdiff1d(drones[~lost], moves)
     np.testing.assert_allclose(np.ptp(states.positions[rests][:, stays], axis=0), 0.0, atol=1e-9)
     assert np.all(np.ptp(states.positions[rests][:, moves], axis=0).max(axis=-1) > 0.3)

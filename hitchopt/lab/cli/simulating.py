@@ -340,10 +340,10 @@ def _with_cut(settings: Settings, task: Task, text: str, *, react: bool) -> tupl
     with ProgressBar("planning the reaction"):
         flown, found = task_with_cut(task, loss, react=react)
     if react:
-        begins = loss.time + found.start
         say(
-            f"reaction: all rest at t = {begins - found.rising.duration:.3f} s; the drones of "
-            f"robot {loss.name} have risen at {begins:.3f} s, when those at the ends begin to move"
+            f"reaction: all rest at t = {loss.time + found.stops:.3f} s, drones at the ends begin "
+            f"to move at {loss.time + found.starts:.3f} s, and the chain is taut at "
+            f"{loss.time + found.taut:.3f} s"
         )
     return replace(settings, lost=loss), flown
 

@@ -1,8 +1,7 @@
 """The task of a flight in which a robot lets go of its cable and leaves upward.
 
-From the loss on, nothing pulls at its drones. With a reaction, the plan's clock stops, these drones
-rise, and the others form the chain of ``hitchopt react``. Without one, the others fly on as planned
-while they rise.
+From the loss on, nothing pulls at its drones. With a reaction, all fly on as planned at first, and
+then the plan of ``hitchopt react``. Without one, the others fly on as planned while they rise.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def task_with_cut(task: Task, loss: Loss, *, react: bool) -> tuple[Task, Remaini
         found = after_loss_of(flight, loss.name, loss.time)
     except InputError as error:
         raise error.renamed(lambda _: loss.key) from None
-    states = _with_reaction(motion, found) if react else _without(motion, found, loss)
+    states = (_with_reaction if react else _without)(motion, found, loss)
     team = motion.team
     leaving, late = _drones(team, loss.drones), states.t >= loss.time
     for name in ("cable_forces", "cable_force_rates"):
@@ -65,19 +64,17 @@ def _copied(states: States) -> States:
     return States(*(np.array(getattr(states, field.name)) for field in fields(states)))
 
 
-def _with_reaction(motion: Motion, found: Remaining) -> States:
-    """Return the states of the plan until it stops, and of what follows."""
-    begin = found.stopped.duration
-    follows = found.rising.followed_by(found.flight)
-    (stopped,) = found.stopped.teams
-    states = _copied(states_at(stopped.motion, sample_times(begin + follows.duration, RATE)))
-    later = states.t >= begin
-    t = states.t[later] - begin
+def _with_reaction(motion: Motion, found: Remaining, loss: Loss) -> States:
+    """Return the states of the plan until all react, and of what follows."""
+    flight = found.flight
+    states = _copied(states_at(motion, sample_times(found.begin + flight.duration, RATE)))
+    later = states.t >= loss.time + found.reacts
+    t = states.t[later] - found.begin
     drones = _drones(motion.team, found.drones)
-    after = flight_states_at(follows, t)
+    after = flight_states_at(flight, t)
     for name in DRONE_FIELDS:
         getattr(states, name)[np.ix_(later, drones)] = getattr(after, name)
-    chain = follows.teams[0].motion
+    chain = flight.teams[0].motion
     cables = drones[: chain.team.drones : 2] // 2
     states.tensions[np.ix_(later, cables)] = states_at(chain, t).tensions
     return states
@@ -88,9 +85,9 @@ def _without(motion: Motion, found: Remaining, loss: Loss) -> States:
     end = max(motion.duration, loss.time + MIN_TIME)
     states = _copied(states_at(motion, sample_times(end, RATE)))
     late = states.t >= loss.time
-    leaving = np.ix_(late, _drones(motion.team, loss.drones))
-    rising = states_at(found.rising.teams[1].motion, states.t[late] - loss.time)
-    rising.positions[:] -= rising.positions[0].copy()
-    for name in PATH_FIELDS:
-        getattr(states, name)[leaving] += getattr(rising, name)
+    leaving = _drones(motion.team, loss.drones)
+    since = np.minimum(states.t[late] - loss.time, found.lift.breaks[-1])
+    for order, name in enumerate(PATH_FIELDS):
+        heights = getattr(states, name)[..., 2]
+        heights[np.ix_(late, leaving)] += found.lift.at(since, order)
     return states
