@@ -177,7 +177,7 @@ class CommandedPlan:
         return f"robot {robot} is lost: the others hold a chain in {seconds:.2f} s"
 
     def _land_chain(self, command: str) -> str:
-        """Land what remains after a loss once it is held: untied, or else straight down."""
+        """Land what remains after a loss once it is held: as commanded, or else in another way."""
         player = self._player
         if self.descending:
             return f"landing continues at full speed in {player.resume():.2f} s"
@@ -188,7 +188,7 @@ class CommandedPlan:
             self._await_rest(command)
             return f"{command}: as soon as the chain is held"
         refusal = InfeasibleError([], f"{command}: the chain has no landing")
-        for how in dict.fromkeys((self._tables[command].how, "land")):
+        for how in dict.fromkeys((self._tables[command].how, "release_and_land", "land")):
             try:
                 entry = Aborts(flight).plan(flight.duration, how)
             except InfeasibleError as error:

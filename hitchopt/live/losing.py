@@ -13,7 +13,7 @@ up if they stay clear; the last one does one after the other.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -25,14 +25,15 @@ from hitchopt.checks.losses import RISE, taut_runs
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry.vectors import hull_distance, unit
-from hitchopt.hitch import Swarm, Team
+from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.losses import Losses, places_after_loss
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import OPEN, Assignment
 from hitchopt.live.abort import HOLD, Aborts, StoppedPlan, until_stop
 from hitchopt.motion.flight import Flight, TeamMotion, team_label
-from hitchopt.motion.motion import JOINT, CableState, Motion, Phase, concatenated
+from hitchopt.motion.motion import JOINT, CableState, HoldBy, Motion, Phase, concatenated
 from hitchopt.motion.retiming import MIN_SPACING, padded, resting, shifted, slice_time, truncated
+from hitchopt.motion.states import fitted_hitch
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.forming.stages import (
@@ -128,7 +129,7 @@ def check_loss(flight: Flight, robot: str, time: float) -> None:
 def after_loss_at_rest(flight: Flight, robot: str, time: float, rest: float) -> Remaining:
     """Return the certified flight after a loss, where the clock stops at a plan time ``rest`` [s].
 
-    It begins there. Errors are those of ``Plan.after_loss``.
+    It begins there, and can be landed if possible. Errors are those of ``Plan.after_loss``.
     """
 
     def until_rest(motion: Motion) -> Motion:
@@ -136,7 +137,9 @@ def after_loss_at_rest(flight: Flight, robot: str, time: float, rest: float) -> 
 
     stopped = flight.untimed.each_team(until_rest)
     stop = StoppedPlan(rest, 0.0, rest, stopped)
-    return _after_loss(flight, robot, time, stop, begin=stopped.duration, delay=0.0)
+    begin = stopped.duration
+    levels = [True, False]
+    return _after_loss(flight, robot, time, stop, begin=begin, delay=0.0, levels=levels)
 
 
 def after_loss_of(flight: Flight, robot: str, time: float, how: str = "hold") -> Remaining:
@@ -147,8 +150,9 @@ def after_loss_of(flight: Flight, robot: str, time: float, how: str = "hold") ->
     check_choice("how", how, HOW)
     check_loss(flight, robot, time)
     stop = until_stop(flight, min(time + DELAY, flight.duration))
-    found = _after_loss(flight, robot, time, stop, begin=time, delay=DELAY)
-    if how == "hold":
+    held = how == "hold"
+    found = _after_loss(flight, robot, time, stop, begin=time, delay=DELAY, levels=[not held])
+    if held:
         return found
     landed = Aborts(found.flight).plan(found.flight.duration, "release_and_land").flight
     return replace(found, flight=landed, certificate=_certified(landed, robot, time))
@@ -165,12 +169,19 @@ def _certified(flight: Flight, robot: str, time: float) -> Certificate:
 
 
 def _after_loss(
-    flight: Flight, robot: str, time: float, stop: StoppedPlan, begin: float, delay: float
+    flight: Flight,
+    robot: str,
+    time: float,
+    stop: StoppedPlan,
+    *,
+    begin: float,
+    delay: float,
+    levels: Sequence[bool],
 ) -> Remaining:
     """Return the flight after a loss at a plan time [s] that begins ``begin`` [s] in a stop.
 
     It begins at a break within MIN_SPACING of that. The lost robot's drones rise after a ``delay``
-    [s] at the earliest.
+    [s] at the earliest. Chains are tried that are a hitch at one height, or not, by ``levels``.
     """
     place = _place(flight, robot)
     flown = flight.teams[place.team]
@@ -186,9 +197,9 @@ def _after_loss(
     name = flown.name or CHAIN
     lost = f"{flown.name}-{LOST}" if flown.name else LOST
 
-    def certified(schedule: _Schedule) -> Remaining:
-        chain = tied.chain(schedule)
-        teams = [TeamMotion(name, chain), TeamMotion(lost, tied.leaving(schedule))]
+    def certified(variant: _TiedAtRest, schedule: _Schedule) -> Remaining:
+        chain = variant.chain(schedule)
+        teams = [TeamMotion(name, chain), TeamMotion(lost, variant.leaving(schedule))]
         teams += [
             TeamMotion(other.name, padded(stopping[other.name], 0.0, chain.duration))
             for other in flight.teams
@@ -207,18 +218,20 @@ def _after_loss(
             certificate=_certified(held, robot, time),
             begin=begin,
             reacts=delay,
-            stops=tied.stopping.duration,
+            stops=variant.stopping.duration,
             rest=stop.rest,
-            starts=schedule.reach,
+            starts=variant.starts(schedule),
             taut=chain.duration - HOLD,
-            rise=tied.rise,
+            rise=variant.rise,
             lift=schedule.lift,
             robots=_robots(flown, name, robot),
             drones=tuple(drones),
         )
 
     candidates = (
-        Candidate("reaction", partial(certified, schedule)) for schedule in tied.schedules(delay)
+        Candidate("reaction", partial(certified, variant, schedule))
+        for variant in [replace(tied, level=level) for level in levels]
+        for schedule in variant.schedules(delay)
     )
     return first_certified(candidates, Effort())
 
@@ -263,6 +276,11 @@ def _taut_run(motion: Motion, time: float, robot: str) -> Motion:
     for run in runs:
         if run.drones.breaks[0] - JOINT <= time <= run.drones.breaks[-1] + JOINT:
             return run
+    for phase in motion.overlapping(time - JOINT, time + 2.0 * JOINT):
+        if phase.hold is not None:
+            falls = "falls" if phase.hold.by is HoldBy.GRIP else "tips over, or falls"
+            reason = f"the hitch holds {phase.hold.object}, which {falls} without one of its cables"
+            raise InfeasibleError([], f"loss of {robot} at t = {time:.4g} s: {reason}")
     spans = [f"{each[0]:.4g} to {each[-1]:.4g} s" for each in (run.drones.breaks for run in runs)]
     bound = f"while a hitch is taut, {' or '.join(spans) or 'never in this plan'}"
     remedy = f"otherwise all land after the loss of {robot}: see hitchopt simulate --lose"
@@ -275,8 +293,8 @@ class _Schedule(NamedTuple):
     lift: PiecewisePolynomial
     """(1,) [m], how far the lost robot's drones have risen, up to the end of their rise."""
 
-    reach: float
-    """[s] Time at which drones at the ends of the chain begin to move."""
+    overlaps: bool
+    """Whether drones at the ends of the chain move as soon as they stay clear of these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,6 +321,10 @@ class _TiedAtRest:
 
     balanced: Array
     """(2n, 3) [m], with both ends of the chain in balance."""
+
+    level: bool = False
+    """Whether the chain becomes a hitch at one height, from which steps start; with weight others
+    have raised ends."""
 
     @classmethod
     def of(
@@ -369,10 +391,34 @@ class _TiedAtRest:
         end = self.balanced[self.places]
         clasps = self.vertices[self.points]
         moved = np.concatenate([end[:1], clasps[1:-1], end[-1:]])
+        if self.level and self.team.cable_density > 0.0:
+            hitch = self._levelled(moved)
+            end = hitch.drones
+            moved = hitch.vertices
         progress = line_progress(self.team, self.need.limits.with_reserve, start, end)
         return self._loose(
             "reach", on_lines(progress, start, end), on_lines(progress, clasps, moved)
         )
+
+    def _levelled(self, vertices: Array) -> Hitch:
+        """Return the hitch at one height of a chain in balance with vertices (n, 3) [m].
+
+        Its clasps roll as before. Only the weight of cables makes it another one.
+        """
+        layout = self.motion.team.layout
+        legs = np.linalg.norm(self.drones - self.vertices[layout.anchors], axis=1).reshape(-1, 2)
+        before = fitted_hitch(self.motion.team, self.drones, self.vertices, legs)
+        roll = before.roll[np.searchsorted(layout.clasps, self.points[1:-1])]
+        outline = vertices.copy()
+        outline[:, 2] = np.mean(vertices[1:-1, 2])
+        for end, clasp in ((0, 1), (-1, -2)):
+            chord = vertices[end] - vertices[clasp]
+            along = unit(chord * [1.0, 1.0, 0.0])
+            outline[end] = outline[clasp] + np.linalg.norm(chord) * along
+        altitude = float(outline[0, 2])
+        slack = Hitch.balanced(self.team, outline[:, :2], altitude).slack
+        q_legs = self.team.layout.q_legs_of(before.legs[self.places[::2] // 2, 0], slack)
+        return Hitch(self.team, outline[:, :2], altitude, q_legs, roll)
 
     def _loose(
         self, name: str, drones: PiecewisePolynomial, vertices: PiecewisePolynomial
@@ -388,8 +434,8 @@ class _TiedAtRest:
         at_rest = self._lift(self.stopping.duration, np.zeros((3, 2)))
         for lift in (self._lift_while_stopping(delay), at_rest):
             if lift is not None:
-                yield _Schedule(lift, self._soonest_reach(lift))
-        yield _Schedule(at_rest, float(at_rest.breaks[-1]))
+                yield _Schedule(lift, overlaps=True)
+        yield _Schedule(at_rest, overlaps=False)
 
     def _lift(self, begin: float, used: Array) -> PiecewisePolynomial:
         """Return the rise (1,) [m], from a time [s] on, with what limits leave.
@@ -429,13 +475,16 @@ class _TiedAtRest:
             return None
         return self._lift(max(delay, PAUSE), used)
 
-    def _soonest_reach(self, lift: PiecewisePolynomial) -> float:
+    def starts(self, schedule: _Schedule) -> float:
         """Return the first time [s] from which the ends reach their places clear of the others.
 
         Times are sampled: what follows is certified.
         """
+        lift = schedule.lift
         rests = self.stopping.duration
         lifted = float(lift.breaks[-1])
+        if not schedule.overlaps:
+            return max(lifted, rests)
         reach = self.reach
         times = np.linspace(0.0, reach.duration, SAMPLES)
         drones = reach.drones.at(times)
@@ -470,7 +519,7 @@ class _TiedAtRest:
             self.stopping.vertices.replaced(self.stopping.vertices.coefficients[:, self.points]),
         )
         parts = [stopping]
-        waits = schedule.reach - stopping.duration
+        waits = self.starts(schedule) - stopping.duration
         if waits > JOINT:
             wait = Phase("wait", 0, 0.0, waits, state=CableState.LOOSE)
             parts.append(resting(reach, waits, wait, first=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from hitchopt.live.links import Operator
 from hitchopt.live.losing import after_loss_of
 from hitchopt.live.player import Setpoints
 from hitchopt.motion.flight import TeamMotion
+from hitchopt.motion.motion import HoldBy, PhaseHold
 from hitchopt.planners.losses import after_loss
 
 STEP = 0.01
@@ -117,8 +119,9 @@ def test_what_survives_has_a_certified_reaction(robots: int, seed: int, tmp_path
 
 
 @pytest.mark.slow
-def test_the_chain_is_untied_and_lands(tmp_path: Path) -> None:
-    plan = square().after_loss(1, 1.5, how="land")
+@pytest.mark.parametrize("density", [0.0, 0.008])
+def test_the_chain_is_untied_and_lands(density: float, tmp_path: Path) -> None:
+    plan = square(density).after_loss(1, 1.5, how="land")
     assert np.max(plan.at(plan.duration).positions[:, 2]) <= 1e-6
     assert "chain unswap 2" in " ".join(phase.name for phase in plan.phases)
     rows = list(second.verify(plan.save(tmp_path, picture=False)))
@@ -226,8 +229,9 @@ def test_a_player_refuses_what_cannot_be_lost_and_flies_on() -> None:
     player.step(0.1)
 
 
-def test_a_stream_stops_holds_the_chain_and_lands() -> None:
-    plan = square()
+@pytest.mark.parametrize("density", [0.0, pytest.param(0.008, marks=pytest.mark.slow)])
+def test_a_stream_stops_holds_the_chain_and_lands(density: float) -> None:
+    plan = square(density)
     limits = plan.motion.requirements.limits
     tables = {
         "land": AbortTable.unplanned(plan.flight, "land"),
@@ -251,7 +255,7 @@ def test_a_stream_stops_holds_the_chain_and_lands() -> None:
     with pytest.raises(ho.InfeasibleError, match="lost"):
         commanded.obey("back")
     assert "as soon as the chain is held" in commanded.obey("land")
-    series += flown_by(step, 12.0)
+    series += flown_by(step, 12.0 if density == 0.0 else 24.0)
     check_continuous(series, limits)
     assert commanded.landed
     assert np.max(np.abs(series[-1].positions[:6, 2])) < 1e-6
@@ -266,3 +270,11 @@ def test_the_operator_types_the_robot_that_is_lost(monkeypatch: pytest.MonkeyPat
         assert operator.commands() == (["toggle"], True)
         typing.write(b"2\nbx\nL")
         assert operator.commands() == (["lose a.2", "back", "land"], True)
+
+
+def test_what_is_held_falls() -> None:
+    motion = square().motion
+    hold = PhaseHold("drum", HoldBy.GRIP, (0, 1, 2, 3))
+    held = motion.replaced(phases=tuple(replace(phase, hold=hold) for phase in motion.phases))
+    with pytest.raises(ho.InfeasibleError, match=r"loss of 1 at t = 0\.5 s: .* drum, which falls"):
+        after_loss_of(ho.Flight.of(held), "1", 0.5)
