@@ -16,6 +16,8 @@ import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.verify import Row
+from hitchopt.verify.losses import Pairs, clasped_first, moves
+from hitchopt.verify.reading import read
 
 Content = dict[str, Any]
 
@@ -112,3 +114,29 @@ def test_lies_of_the_plan_are_refused(tmp_path: Path) -> None:
     held = ho.solve(hexagon, ho.Hold(0.5))
     write_plan(file, ho.Flight.of(_requirements(held, tracking=0.065)))
     assert rows_of(tmp_path)["survivable"].verdict == "violated"
+
+
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_all_that_may_meet_after_a_loss_is_compared(n: int, tmp_path: Path) -> None:
+    """Pairs by counting: 2n drones move, of which two after one loss, in which two drones leave.
+
+    The others' n - 1 cables are those of both, and n - 3 that keep their clasps.
+    """
+    folder = plan(n, 2.4 if n == 3 else 2.2, 0.0).save(tmp_path, picture=False)
+    ((own,), _) = read(folder / "plan.npz")
+    rows = moves(own)
+    pairs = Pairs.of(own, rows)
+    moved, drones, whole = 2 * n, 2 * n, n - 3
+    assert {name: len(items) for name, items in pairs._asdict().items()} == {
+        "others": moved * (drones - 3),
+        "both": moved,
+        "leaving": moved * 2,
+        "staying": drones * (drones - 2),
+        "beside": moved * whole,
+        "leave_beside": drones * whole,
+        "stay_beside": n * {3: 0, 4: 4, 5: 8}[n],  # drones of other cables than a whole one
+        "whole": {3: 0, 4: 0, 5: 5}[n],  # of a pentagon, two neighbours
+    }
+    ends = clasped_first(own, pairs.both, rows.drone[pairs.both] // 2)
+    shared = {3: moved, 4: 0, 5: 0}[n]  # both loose cables of a triangle share a clasp
+    assert [len(items) for items in ends] == [shared, moved - shared]
