@@ -90,6 +90,27 @@ def quintic(s: float) -> float:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
+@pytest.mark.parametrize(
+    ("stated", "tracking"),
+    [(None, 0.05), (ho.Limits(speed=0.5), 0.05), (ho.Limits(tracking=0.0), 0.0)],
+)
+@pytest.mark.parametrize("duration", [None, 4.0])
+def test_paths_of_named_drones_have_their_tracking_errors(
+    stated: ho.Limits | None, tracking: float, duration: float | None
+) -> None:
+    team = ho.Team(3, 2.4, quadrotor=ho.Quadrotor(model="crazyflie_2.1"))
+
+    def moved(s: float) -> Array:
+        """Return the triangle, moved smoothly and at rest at both ends."""
+        return TRIANGLE + [0.3 * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 0.0]
+
+    motion = ho.time(ho.Path.of(team, moved, duration=duration), limits=stated)
+    assert motion.requirements.limits.tracking == tracking
+    notes = ho.Plan(ho.Flight.of(motion), ho.certify(motion)).notes
+    is_understated = any("only 0 m is certified" in note for note in notes)
+    assert is_understated == (tracking == 0.0), notes
+
+
 @pytest.mark.parametrize("clock", [quintic, lambda s: quintic(s * s)])
 def test_a_path_with_a_duration_keeps_its_timing(clock: Callable[[float], float]) -> None:
     """Functions and knots, with limits that hold and limits that the timing breaks."""
