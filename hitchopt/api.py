@@ -239,7 +239,7 @@ def morphs(
     ------
     InputError: an argument is invalid.
     """
-    given = [(start, polygon, options) for start, polygon in sequence("pairs", pairs)]
+    given = [(*_pair(i, each), options) for i, each in enumerate(sequence("pairs", pairs))]
     count = os.cpu_count() or 1 if workers is None else integer("workers", workers, 1)
     with ExitStack() as stack:
         report = progress or stack.enter_context(_bar("planning morphs", len(given)))
@@ -250,6 +250,14 @@ def morphs(
             future.result()  # invalid arguments end all others
             report(f"planning morphs, {done} of {len(given)}")
         return [future.result() for future in futures]
+
+
+def _pair(index: int, pair: object) -> tuple[Hitch, Polygon]:
+    """Return a start and a goal, or raise InputError for anything but two entries."""
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        bound = "a pair of a hitch and a polygon"
+        raise InputError(f"pairs[{index}]", pair, bound, "write (start, polygon)")
+    return pair[0], pair[1]
 
 
 def _morph_or_error(

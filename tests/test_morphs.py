@@ -45,3 +45,8 @@ def test_invalid_arguments_are_refused() -> None:
         ho.morphs([(START, [[0, 0], [1, 1]])], workers=1)
     with pytest.raises(ho.InputError, match="workers = 0"):
         ho.morphs([], workers=0)
+    for pair in (START, (START,), (START, GOALS[0], 1.0), "ab"):
+        with pytest.raises(
+            ho.InputError, match=r"pairs\[1\] = .*: must be a pair of a hitch and a"
+        ):
+            ho.morphs([(START, GOALS[0]), pair])  # type: ignore[list-item]

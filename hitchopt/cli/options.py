@@ -27,12 +27,51 @@ class NonEmptyPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path; raises InputError if it is empty."""
         if value == "" and param is not None:
-            key = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
-            raise InputError(key, "", "a path that is not empty", "name one; . is this directory")
+            raise InputError(
+                _key(param), "", "a path that is not empty", "name one; . is this directory"
+            )
         return super().convert(value, param, ctx)
 
 
 PATH = NonEmptyPath()
+
+
+class Number(click.types.FloatParamType):
+    """A number, refused as numbers in files are."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number; raises InputError for other values."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            raise InputError(_key(param), value, "a number", "write it without a unit") from None
+
+
+class WholeNumber(click.types.IntParamType):
+    """A whole number, refused as such numbers in files are."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number; raises InputError for other values."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            raise InputError(_key(param), value, "an integer", "use a whole number") from None
+
+
+def _key(param: click.Parameter | None) -> str:
+    """Return the name of an option, or of an argument as help shows it."""
+    if isinstance(param, click.Option):
+        return param.opts[-1]
+    return "" if param is None else param.human_readable_name
+
+
+def _named(kind: click.ParamType[Any]) -> click.ParamType[Any]:
+    """Return the type whose numbers, also those of tuples, are refused by InputError."""
+    if isinstance(kind, click.Tuple):
+        return click.Tuple([_named(each) for each in kind.types])
+    if kind is click.FLOAT:
+        return Number()
+    return WholeNumber() if kind is click.INT else kind
 
 
 def option(
@@ -58,7 +97,9 @@ def option(
         settings["type"] = click.Choice(choices)
     elif value is False:
         settings["is_flag"] = True
-    return click.Option(names.split(), **settings, **more)
+    made = click.Option(names.split(), **settings, **more)
+    made.type = _named(made.type)
+    return made
 
 
 def key_option(names: str, key: Key, metavar: str | None = None) -> click.Option:

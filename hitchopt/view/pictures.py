@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
+from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
@@ -43,6 +44,8 @@ PLOT_EDGES = {"left": 0.585, "right": 0.915, "bottom": 0.15, "top": 0.85, "hspac
 PLAN_EDGES = {"left": 0.055, "right": 0.505, "bottom": 0.15, "top": 0.85}
 STORYBOARD_EDGES = {"left": 0.012, "right": 0.515, "bottom": 0.03, "top": 0.85}
 LEGEND_GAP = 0.17  # Distance of the legend from a plan below panels, as a fraction of its height
+GROUND = 0.1  # Depth below the ground that is drawn from the side [m]
+VIEW_GAP = 0.22  # Distance of the views from above and from the side, over their mean width
 LABEL_AT = -0.1  # Position of the plots' labels, as a fraction of their width
 CARD_RESOLUTION = 65  # Resolution of a notebook's picture [dots per inch]: 850 pixels wide
 POINTS = 150_000  # Number of sampled drone positions: more is finer than pixels
@@ -391,9 +394,11 @@ def draw_closeness(flight: Flight, closest: Closeness, width: float | None = Non
 def _draw_plan(figure: Figure, flight: Flight, place: SubplotSpec | None = None) -> None:
     """Draw the storyboard; with few moments also, and without cables only, the plan from above.
 
-    The position is on the left by default.
+    Plans in which heights change are also seen from the side then, unless on a page. The position
+    is on the left by default.
     """
     shots = painter.choose_shots(flight) if _has_cables(flight) else ()
+    on_page = place is not None
     if place is None:
         margins = STORYBOARD_EDGES if len(shots) > painter.FEW_PANELS else PLAN_EDGES
         place = figure.add_gridspec(1, 1, **margins)[0]
@@ -403,8 +408,22 @@ def _draw_plan(figure: Figure, flight: Flight, place: SubplotSpec | None = None)
         painter.draw_plan_storyboard(place, flight, shots)
     else:
         parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.04)
-        draw_plan_view(figure.add_subplot(parts[1]), flight, LEGEND_GAP)
         painter.draw_plan_storyboard(parts[0], flight, shots)
+        if on_page or not _changes_heights(flight):
+            draw_plan_view(figure.add_subplot(parts[1]), flight, LEGEND_GAP)
+            return
+        views = parts[1].subgridspec(1, 2, wspace=VIEW_GAP)
+        above = figure.add_subplot(views[0])
+        draw_plan_view(above, flight)
+        draw_side_view(figure.add_subplot(views[1]), flight)
+        middle = 1.0 + 0.5 * VIEW_GAP, -LEGEND_GAP
+        cast("Legend", above.get_legend()).set_bbox_to_anchor(middle, above.transAxes)
+
+
+def _changes_heights(flight: Flight) -> bool:
+    """Return whether drones fly above each other, or climb, by half a drone's height or more."""
+    heights = _flown(flight)[..., 2]
+    return bool(np.ptp(heights) > flight.requirements.separation.height)
 
 
 def _has_cables(flight: Flight) -> bool:
@@ -455,41 +474,36 @@ def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0)
     write(axes, text, (1.0, value), (5.0, shift), xycoords=axes.get_yaxis_transform(), **look)
 
 
+class View(NamedTuple):
+    """A direction from which a whole plan is seen, along one of the world's axes."""
+
+    plane: tuple[int, int]  # axes of the world to the right and up
+    camera: painter.Camera
+    labels: tuple[str, str]  # of both axes
+
+
+FROM_ABOVE = View((0, 1), painter.Camera.at_angles(-90.0, 90.0), ("x [m]", "y [m]"))
+FROM_THE_SIDE = View((0, 2), painter.Camera.at_angles(-90.0, 0.0), ("x [m]", "z [m]"))
+
+
 def draw_plan_view(axes: Axes, flight: Flight, gap: float = 0.1) -> None:
     """Draw a plan from above: start, paths, end and surroundings.
 
     ``gap`` is the distance of the legend below, as a fraction of the axes' height.
     """
     requirements, cables, look = flight.requirements, _has_cables(flight), Appearance.of(flight)
-    radius, colours = requirements.separation.radius, list(look.drone_colours)
     ends = scene_at(flight, np.array([0.0, flight.duration]))
-    times = flight.drones.breaks[0] + _sample_times(flight)
-    curves = [flight.drones, *(other.motion.drones for other in flight.others)]
-    paths = [curve.at(np.clip(times, *curve.breaks[[0, -1]])) for curve in curves]
-    flown = np.concatenate(paths, axis=1)[..., :2]
-    opacity = PATH_OPACITY if cables else 1.0
-    draw_lines(axes, np.moveaxis(flown, 1, 0), colours, 0.8, 1, alpha=opacity)
+    flown = _flown(flight)[..., :2]
+    _draw_flight(axes, flight, FROM_ABOVE)
     handles: list[Artist] = [
-        Line2D([], [], color=COLOURS[0], alpha=opacity, label="paths"),
+        Line2D([], [], color=COLOURS[0], alpha=PATH_OPACITY if cables else 1.0, label="paths"),
         style.marker("o", "white", START_COLOUR, "start", 9.0 if cables else 4.5),
     ]
     fill = "white" if cables else INK
     handles.append(style.marker("o", fill, INK, "end, with its ellipsoid", 9.0))
     if cables:
-        draw_lines(axes, ends.cables[0, ..., :2], START_COLOUR, 1.0, 2, linestyles="--")
-        camera, step = (
-            painter.Camera.at_angles(-90.0, 90.0),
-            painter.corner_step(ends.cables.shape[1]),
-        )
-        above = painter.Painter(ends, camera, step=step)
-        painter.draw_painting(axes, above.paint(ends.at(flight.duration)))
         kinds = (INK, "drones q"), ("white", "drones r")
         handles += [style.marker("o", colour, INK, name) for colour, name in kinds]
-    end = ("none", START_COLOUR) if cables else (colours, colours)
-    _draw_ellipsoids(axes, radius, flown[-1], *end)
-    # Single drones may end where others start: starts are smaller discs on top.
-    start = (radius, "none") if cables else (0.5 * radius, "white")
-    _draw_ellipsoids(axes, start[0], flown[0], start[1], START_COLOUR)
     extent = flown.reshape(-1, 2)
     for prism in requirements.keep_out:
         hatched: Any = {"fc": "0.88", "ec": "0.4", "hatch": "////", "label": "keep out"}
@@ -506,22 +520,68 @@ def draw_plan_view(axes: Axes, flight: Flight, gap: float = 0.1) -> None:
         (x, y), (width, depth) = arena.lower[:2], arena.upper[:2] - arena.lower[:2]
         box = Rectangle((x, y), width, depth, fill=False, ec="0.4", label="arena")
         handles.append(axes.add_artist(box))
-    lower, upper = np.min(extent, axis=0), np.max(extent, axis=0)
+    _show_extent(axes, extent, requirements.separation.radius)
+    _write_names(axes, flight, flown[-1])
+    style.legend_below(axes, handles, gap, 3)
+
+
+def draw_side_view(axes: Axes, flight: Flight) -> None:
+    """Draw a plan from the side, along y: start, paths, end and the ground."""
+    separation, floor = flight.requirements.separation, flight.requirements.floor
+    _draw_flight(axes, flight, FROM_THE_SIDE)
+    flown = _flown(flight)[..., [0, 2]].reshape(-1, 2)
+    axes.axhline(floor, color="0.4", linewidth=0.8)
+    _show_extent(axes, flown, separation.radius)
+    axes.set_ylim(floor - GROUND, axes.dataLim.y1 + separation.height)
+    axes.set_aspect("equal", adjustable="box", anchor="S")
+
+
+def _flown(flight: Flight) -> Array:
+    """Return the positions (samples, drones, 3) [m] of all drones, also of external plans."""
+    times = flight.drones.breaks[0] + _sample_times(flight)
+    curves = [flight.drones, *(other.motion.drones for other in flight.others)]
+    paths = [curve.at(np.clip(times, *curve.breaks[[0, -1]])) for curve in curves]
+    return np.concatenate(paths, axis=1)
+
+
+def _draw_flight(axes: Axes, flight: Flight, view: View) -> None:
+    """Draw paths, and cables and ellipsoids at the start and at the end."""
+    plane, cables, colours = [*view.plane], _has_cables(flight), Appearance.of(flight).drone_colours
+    ends = scene_at(flight, np.array([0.0, flight.duration]))
+    flown = _flown(flight)[..., plane]
+    opacity = PATH_OPACITY if cables else 1.0
+    draw_lines(axes, np.moveaxis(flown, 1, 0), colours, 0.8, 1, alpha=opacity)
+    if cables:
+        draw_lines(axes, ends.cables[0][..., plane], START_COLOUR, 1.0, 2, linestyles="--")
+        step = painter.corner_step(ends.cables.shape[1])
+        at_end = painter.Painter(ends, view.camera, step=step).paint(ends.at(flight.duration))
+        painter.draw_painting(axes, at_end)
+    separation = flight.requirements.separation
+    sizes = np.array([separation.radius, separation.radius, separation.height])[plane]
+    end = ("none", START_COLOUR) if cables else (colours, colours)
+    _draw_ellipsoids(axes, sizes, flown[-1], *end)
+    # Single drones may end where others start: starts are smaller discs on top.
+    start = (sizes, "none") if cables else (0.5 * sizes, "white")
+    _draw_ellipsoids(axes, start[0], flown[0], start[1], START_COLOUR)
+    axes.set(xlabel=view.labels[0], ylabel=view.labels[1])
+
+
+def _show_extent(axes: Axes, points: Array, radius: float) -> None:
+    """Set the axes' limits around points (m, 2) [m] and drones of a radius, at one scale."""
+    lower, upper = np.min(points, axis=0), np.max(points, axis=0)
     margin = radius + 0.05 * float(np.max(upper - lower))
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.0)
     axes.update_datalim([lower - margin, upper + margin])
     axes.autoscale_view()
-    _write_names(axes, flight, flown[-1])
-    axes.set(xlabel="x [m]", ylabel="y [m]")
-    style.legend_below(axes, handles, gap, 3)
 
 
-def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: Any) -> None:
-    """Draw the drones' ellipsoids about ``points`` (N, 2)."""
-    size, look = [2.0 * radius], {"facecolors": fill, "edgecolors": edge, "linewidths": 0.8}
+def _draw_ellipsoids(axes: Axes, sizes: Array, points: Array, fill: Any, edge: Any) -> None:
+    """Draw the drones' ellipsoids with semi-axes (2,) about ``points`` (N, 2) [m]."""
+    width, height = 2.0 * sizes
+    look = {"facecolors": fill, "edgecolors": edge, "linewidths": 0.8}
     placed: Any = {"units": "xy", "offsets": points, "offset_transform": axes.transData}
-    axes.add_collection(EllipseCollection(size, size, [0.0], zorder=3, **placed, **look))
+    axes.add_collection(EllipseCollection([width], [height], [0.0], zorder=3, **placed, **look))
 
 
 def _write_names(axes: Axes, flight: Flight, ends: Array) -> None:

@@ -51,7 +51,9 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
     ("words", "told"),
     [
         *((words, "Usage: ") for words in ("fly", "solve", "solve a b", "check", "-x")),
-        ("solve a --rate often", "'often' is not a valid float"),
+        ("solve a --rate often", "error: --rate = 'often': must be a number; write it without"),
+        ("fit a --robots four", "error: --robots = 'four': must be an integer; use a whole number"),
+        ("view a --width 3.5in", "error: --width = '3.5in': must be a number; write it without"),
         ("view a --save a.mp4 --ghost b", "--ghost = 'b': must be omitted"),
         *((f"{SOLVE} --rate {x}", RATE.format(x)) for x in ("0.0", "nan", "1e+300")),
         (f"{SOLVE} --limit inf", "error: --limit = inf: "),

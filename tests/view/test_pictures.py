@@ -113,6 +113,32 @@ def test_both_ends_are_drawn_from_above_and_vertices_named(
         assert 5.0 < np.linalg.norm(np.mean(box, axis=0) - place) < 90.0
 
 
+@pytest.mark.parametrize("climb", [0.0, 0.8])
+def test_climbing_plans_are_also_seen_from_the_side(climb: float) -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.8).translated([0.5, -2.0]))
+    plan = ho.solve(start, ho.Transport([1.5, -1.0, 1.0 + climb]))
+    figure = draw_summary(plan.flight, plan.certificate)
+    sides = [axes for axes in figure.axes if axes.get_ylabel() == "z [m]"]
+    assert len(sides) == (climb > 0.0)
+    for axes in sides:
+        end, begin = (each for each in axes.collections if isinstance(each, EllipseCollection))
+        for drawn, t in ((begin, 0.0), (end, plan.duration)):
+            centres = np.asarray(drawn.get_offsets())
+            np.testing.assert_allclose(centres, plan.at(t).positions[:, [0, 2]], atol=1e-9)
+            ratios = np.asarray(drawn.get_heights(), float) / np.asarray(drawn.get_widths(), float)
+            np.testing.assert_allclose(ratios, 0.30 / 0.12)
+        lower, upper = axes.get_ylim()
+        assert lower < 0.0 < 1.0 + climb + 0.30 < upper + 1e-9
+    figure.draw_without_rendering()
+    page = figure.bbox
+    for axes in figure.axes:
+        tight = axes.get_tightbbox()
+        assert tight is not None
+        assert page.x0 <= tight.x0 < tight.x1 <= page.x1
+    on_page = draw_summary(plan.flight, plan.certificate, page=Page(3.5))
+    assert not any(axes.get_ylabel() == "z [m]" for axes in on_page.axes)
+
+
 @pytest.mark.parametrize(
     ("made", "n"), [(partial(make_motion, thrusts=(2.6, 1.9)), 5), (make_motion, 3), (swarm, 4)]
 )

@@ -430,7 +430,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
         values = 100.0 * errors.errors[:, c]
         top.plot(errors.t, values, color=colours[k], lw=1.2, label=team.point_names[point])
     if errors.t.size and len(team.layout.clasps) <= MAX_LABELS:
-        top.legend(fontsize="small", ncols=3, frameon=False)
+        top.legend(fontsize="small", ncols=MAX_LABELS, frameon=False)
     samples = max(1, round(MEAN_TIME * len(record.t) / end))
     smooth = uniform_filter1d(record.tensions, samples, axis=0)
     for k, colour in enumerate(colours):
