@@ -12,7 +12,9 @@ from .arithmetic import (
     FAR,
     POS_TOL,
     UP,
+    Array,
     Index,
+    Items,
     Line,
     Mask,
     concatenate,
@@ -53,116 +55,129 @@ def bent_cables(p: Plan) -> Iterator[Row]:
     them, all of their parts are.
     """
     legs = Spans.of(p, p.bent, range(p.N), p.names)
-    clasps = Spans.of(p, p.bent, range(len(p.clasps)), p.labels[p.V])
     both = Spans.of(p, p.bent, [[0, 1]], p.cables, p.cables)
-    signs, first = np.zeros((len(p.h), len(p.clasps))), np.arange(p.N) % 2 == 0
-    for run in runs_of(p.bent):
-        signs[run] = bent_orders(p, run)[0]
-
-    def opposite(s: Spans, *_: Index) -> Line:
-        """Return distances of arcs across a line [m], less than 0 where they may be on one side.
-
-        An arc turns by less than half a turn. It is on the side of its contacts if both straight
-        parts of its edge have the normal to that side on their left.
-        """
-        left = [[concatenate(-x[1], x[0]) for x in s.edge(k)] for k in (0, 1)]
-        first, second = (normalize(x.v) + normalize(y.v) for x, y in left)
-        n = normalize(first - second)
-        contacts = ([s.point(int(i))[:2] for i in p.edges[1:3, k]] for k in (0, 1))
-        gaps = [(a - b).dot(n) for a, b in product(*contacts)]
-        return minimum(*gaps, *(x.dot(n) for x in left[0]), *(x.dot(-n) for x in left[1]))
-
-    def residual(s: Spans, i: Index) -> Line:
-        """Return forces where legs meet edges, over the tension.
-
-        Not counted are PASSED of the weight, which the other cable may bear, and horizontal forces
-        of second order, ``(½ ρ g L / T)²``, since both are chords of one sagging cable.
-        """
-        k, (leaving, arriving) = i // 2, s.edge(i // 2)
-        edge = leaving.where(first[i]) - arriving.where(~first[i])
-        other, pull = s.leg(i + 1 - 2 * (i % 2)).norm(), s.edge_pull(k)
-        weight = s.tautness(k) * (-other + p.length[k]) * (0.5 * p.weight)
-        force = s.leg_chord(i).unit() * s.pull(i) + edge.unit() * pull - weight * UP
-        share = maximum(minimum(pull, s.pull(i)), MIN_TENSION).inverse()
-        loss = s.inverse_tension(p.tensions.on(s, k), k) * p.length[k] * (0.5 * p.weight)
-        level = maximum(force[:2].norm() * share - loss * loss, 0.0)
-        upright = maximum((force[2].norm() - weight * PASSED) * share, 0.0)
-        return concatenate(level, upright).norm()
-
-    def apart(s: Spans, i: Index, j: Index) -> Line:
-        """Return distances of straight parts of cables that are at different ends of an object."""
-        pairs = (product(s.halves(i, end), s.halves(j, end)) for end in (0, 1))
-        return minimum(*(distance(a, b) for a, b in chain(*pairs)))
-
-    def above(s: Spans, c: Index) -> Line:
-        """Return signed distances of cables that cross, or large ones where they are apart."""
-        sign, gaps = signs[s.piece, c, None], list[Line]()
-        for a, b in crossing_parts(s, c):
-            crossed = signed_distance(a, b) * sign - np.where(sign == 0.0, FAR, 0.0)
-            gaps.append(maximum(crossed, distance(a, b) - (2.0 * SAG_TOL + MIN_GAP)))
-        return minimum(*gaps)
-
-    yield prove("equilibrium ratio max", 5e-3, legs, residual)
-    yield prove("passing m min", MIN_GAP, both, opposite)
-    yield prove("passing m min", SAG_TOL, both, apart)
+    clasps = Spans.of(p, p.bent, range(len(p.clasps)), p.labels[p.V])
     cable, parts = p.segments[:, 2], p.segment_names
     pairs = np.argwhere((cable[:, None] == 0) & (cable == 1))
     loose = Spans.of(p, p.bent & ~np.any(p.held, axis=0), pairs, parts, parts)
     near = partial(distance, ratio=p.ratio)
+    signs = np.zeros((len(p.h), len(p.clasps)))
+    for run in runs_of(p.bent):
+        signs[run] = bent_orders(p, run)[0]
+    yield prove("equilibrium ratio max", 5e-3, legs, edge_residual)
+    yield prove("passing m min", MIN_GAP, both, arc_gap)
+    yield prove("passing m min", SAG_TOL, both, straight_gap)
     yield prove(*p.crossing_limit, loose, lambda s, i, j: near(s.segment(i), s.segment(j)))
-    yield prove("laid m min", -SAG_TOL, clasps, above)
+    yield prove("laid m min", -SAG_TOL, clasps, partial(crossing_height, signs=signs))
+
+
+def arc_gap(s: Spans, *_: Index) -> Line:
+    """Return distances of arcs across a line [m], less than 0 where they may be on one side.
+
+    An arc turns by less than half a turn. It is on the side of its contacts if both straight parts
+    of its edge have the normal to that side on their left.
+    """
+    left = [[concatenate(-x[1], x[0]) for x in s.edge(k)] for k in (0, 1)]
+    first, second = (normalize(x.v) + normalize(y.v) for x, y in left)
+    n = normalize(first - second)
+    contacts = ([s.point(int(i))[:2] for i in s.plan.edges[1:3, k]] for k in (0, 1))
+    gaps = [(a - b).dot(n) for a, b in product(*contacts)]
+    return minimum(*gaps, *(x.dot(n) for x in left[0]), *(x.dot(-n) for x in left[1]))
+
+
+def edge_residual(s: Spans, i: Index) -> Line:
+    """Return forces where legs meet edges, over the tension.
+
+    Not counted are PASSED of the weight, which the other cable may bear, and horizontal forces of
+    second order, ``(½ ρ g L / T)²``, since both are chords of one sagging cable.
+    """
+    p, k, (leaving, arriving) = s.plan, i // 2, s.edge(i // 2)
+    is_first = np.equal(i % 2, 0)
+    edge = leaving.where(is_first) - arriving.where(~is_first)
+    other, pull = s.leg(i + 1 - 2 * (i % 2)).norm(), s.edge_pull(k)
+    weight = s.tautness(k) * (-other + p.length[k]) * (0.5 * p.weight)
+    force = s.leg_chord(i).unit() * s.pull(i) + edge.unit() * pull - weight * UP
+    share = maximum(minimum(pull, s.pull(i)), MIN_TENSION).inverse()
+    loss = s.inverse_tension(p.tensions.on(s, k), k) * p.length[k] * (0.5 * p.weight)
+    level = maximum(force[:2].norm() * share - loss * loss, 0.0)
+    upright = maximum((force[2].norm() - weight * PASSED) * share, 0.0)
+    return concatenate(level, upright).norm()
+
+
+def straight_gap(s: Spans, i: Index, j: Index) -> Line:
+    """Return distances of straight parts of cables that are at different ends of an object."""
+    pairs = (product(s.halves(i, end), s.halves(j, end)) for end in (0, 1))
+    return minimum(*(distance(a, b) for a, b in chain(*pairs)))
+
+
+def crossing_height(s: Spans, c: Index, signs: Array) -> Line:
+    """Return signed distances of cables that cross, or large ones where they are apart.
+
+    Signs (pieces, clasps) say which cable is above, 0 where either may be.
+    """
+    sign, gaps = signs[s.piece, c, None], list[Line]()
+    for a, b in crossing_parts(s, c):
+        crossed = signed_distance(a, b) * sign - np.where(sign == 0.0, FAR, 0.0)
+        gaps.append(maximum(crossed, distance(a, b) - (2.0 * SAG_TOL + MIN_GAP)))
+    return minimum(*gaps)
 
 
 def free_cables(p: Plan) -> Iterator[Row]:
     """Prove distances of cables that lie, hang, clasp or are tightened."""
-    k, ground, ends = range(p.n), p.state == "on the ground", (p.names, p.cables)
-    pairs, foreign = np.triu_indices(p.n, 1), np.argwhere(np.arange(p.N)[:, None] // 2 != k)
+    k = range(p.n)
+    pairs = np.triu_indices(p.n, 1)
     clasped = p.clasped[pairs] & ~np.isin(p.state, (*UNLINKED, DRAWN))[:, None]
     both = Spans.of(p, p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
-    errs, level = ~np.isin(p.state, (DRAWN, LAID, LOOSE)), ground | (p.state == DRAWN)
+    free, tightened = (Spans.of(p, on, k, p.cables) for on in (p.free, p.state == TIGHTENED))
+    yield prove("span ratio max", 1.0, free, chord_share)
+    yield prove(*p.crossing_limit, both, chord_gap)
+    yield from hanging_cables(p)
+    yield from clasping_cables(p)
+    longer = "cable_length ratio max", 1e-4  # bound of lengths along vertices
+    yield prove(*longer, tightened, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
+    for further in (laid_cables, drawn_cables, loose_cables):
+        yield from further(p)
+
+
+def chord_share(s: Spans, k: Index) -> Line:
+    """Return chords, longer by errors of both ends, over lengths.
+
+    While cables are drawn taut, errors may make them straight if drones are slow. Laid ones are
+    taut, and ``loss_displacement`` assumes how loose ones may be pulled.
+    """
+    p, chord = s.plan, s.q_to_r(k)
+    errs = ~np.isin(p.state, (DRAWN, LAID, LOOSE))
+    error = np.where(errs[s.piece, None], 2.0 * p.tracking, 0.0)
+    if p.ratio == 1.0:
+        return (chord.norm() + error) * (1.0 / p.length[k])
+    level, height = chord[:2].norm() + error, chord[2].norm() + error * p.ratio
+    return concatenate(level, height).norm() * (1.0 / p.length[k])
+
+
+def chord_gap(s: Spans, i: Index, j: Index) -> Line:
+    """Return distances of chords in plan view."""
+    return distance(s.level_chord(i), s.level_chord(j))
+
+
+def foreign_drones(p: Plan) -> Items:
+    """Return pairs (k, 2) of drones and cables of other robots."""
+    return np.argwhere(np.arange(p.N)[:, None] // 2 != np.arange(p.n))
+
+
+def hanging_cables(p: Plan) -> Iterator[Row]:
+    """Prove distances of drones from cables that lie on the ground, or hang below their drones."""
+    foreign, ends = foreign_drones(p), (p.names, p.cables)
+    level = (p.state == "on the ground") | (p.state == DRAWN)
     hangs = p.free & ~level & (p.state != LOOSE)
-    free, hanging = (Spans.of(p, on, k, p.cables) for on in (p.free, hangs))
-    lying, tightened = Spans.of(p, p.free & level, foreign, *ends), p.state == TIGHTENED
-    apart = p.clasping[:, None] & ~p.clasped[pairs]
-    loose = Spans.of(p, apart, np.column_stack(pairs), p.cables, p.cables)
-    on_clasps = p.pairs[np.stack([p.begin, p.end], -1)[foreign[:, 1]] - p.N]
-    turning = np.any(on_clasps == foreign[:, :1, None], axis=(1, 2))
-    beside = p.clasping[:, None] & ~(turning & (p.state == CLASPING)[:, None])
+    lying = Spans.of(p, p.free & level, foreign, *ends)
+    hanging = Spans.of(p, hangs, range(p.n), p.cables)
 
     def to_cable(s: Spans, i: Index, k: Index) -> Line:
         links = catenary_links(s, k)
         gaps = (distance([s.point(i)], x, p.ratio) for x in pairwise(links.cable))
         return minimum(*gaps) - links.sag - shift(s, k)
 
-    def to_hull(s: Spans, i: Index, k: Index) -> Line:
-        return prism_gap([s.point(i)], s.hull(k), p.ratio)
-
-    def chord_share(s: Spans, k: Index) -> Line:
-        """Return chords, longer by errors of both ends, over lengths.
-
-        While cables are drawn taut, errors may make them straight if drones are slow. Laid ones are
-        taut, and ``loss_displacement`` assumes how loose ones may be pulled.
-        """
-        chord, error = s.q_to_r(k), np.where(errs[s.piece, None], 2.0 * p.tracking, 0.0)
-        if p.ratio == 1.0:
-            return (chord.norm() + error) * (1.0 / p.length[k])
-        level, height = chord[:2].norm() + error, chord[2].norm() + error * p.ratio
-        return concatenate(level, height).norm() * (1.0 / p.length[k])
-
-    def between_hulls(s: Spans, i: Index, j: Index) -> Line:
-        return hull_distance(*([x[:2] for x in s.hull(k)[:-1]] for k in (i, j)))
-
-    def to_sheet(s: Spans, i: Index, k: Index) -> Line:
-        """Return distances of drones from sheets between hanging cables and their chords."""
-        links = catenary_links(s, k)
-        lower = [x - UP * links.sag for x in links.cable]
-        parts = zip(pairwise(links.chord), pairwise(lower), strict=True)
-        return minimum(*(prism_gap([s.point(i)], [*top, *bottom]) for top, bottom in parts))
-
-    span, chord = ("span ratio max", 1.0), Spans.level_chord
-    yield prove(*span, free, chord_share)
-    yield prove(*p.crossing_limit, both, lambda s, i, j: distance(chord(s, i), chord(s, j)))
-    yield prove(*p.cable_limit, lying, lambda s, i, k: distance([s.point(i)[:2]], chord(s, k)))
+    yield prove(*p.cable_limit, lying, lambda s, i, k: distance([s.point(i)[:2]], s.level_chord(k)))
     yield prove(*p.cable_limit, hanging, above_floor)
     # Distances of a point of a cable to both ends sum to at most its length
     s = Spans.of(p, hangs, foreign, *ends)
@@ -170,18 +185,38 @@ def free_cables(p: Plan) -> Iterator[Row]:
     reach = (p.sep["cable"] + EXACT_RANGE) * p.ratio
     s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * reach)
     yield prove(*p.cable_limit, s, to_cable)
-    yield prove("cable_loops m min", POS_TOL, s, to_sheet)
+    yield prove("cable_loops m min", POS_TOL, s, sheet_gap)
     own = np.column_stack([np.arange(p.N), np.arange(p.N) // 2])
     yield prove(*p.cable_limit, Spans.of(p, hangs, own, *ends), own_cable_gap)
+
+
+def sheet_gap(s: Spans, i: Index, k: Index) -> Line:
+    """Return distances of drones from sheets between hanging cables and their chords."""
+    links = catenary_links(s, k)
+    lower = [x - UP * links.sag for x in links.cable]
+    parts = zip(pairwise(links.chord), pairwise(lower), strict=True)
+    return minimum(*(prism_gap([s.point(i)], [*top, *bottom]) for top, bottom in parts))
+
+
+def clasping_cables(p: Plan) -> Iterator[Row]:
+    """Prove distances of hulls of cables that clasp from each other, and of drones from them."""
+    pairs, foreign = np.triu_indices(p.n, 1), foreign_drones(p)
+    apart = p.clasping[:, None] & ~p.clasped[pairs]
+    loose = Spans.of(p, apart, np.column_stack(pairs), p.cables, p.cables)
+    on_clasps = p.pairs[np.stack([p.begin, p.end], -1)[foreign[:, 1]] - p.N]
+    turning = np.any(on_clasps == foreign[:, :1, None], axis=(1, 2))
+    beside = p.clasping[:, None] & ~(turning & (p.state == CLASPING)[:, None])
+
+    def between_hulls(s: Spans, i: Index, j: Index) -> Line:
+        return hull_distance(*([x[:2] for x in s.hull(k)[:-1]] for k in (i, j)))
+
+    def to_hull(s: Spans, i: Index, k: Index) -> Line:
+        return prism_gap([s.point(i)], s.hull(k), p.ratio)
+
     yield prove(*p.crossing_limit, loose, between_hulls)
-    s = Spans.of(p, beside, foreign, *ends)
+    s = Spans.of(p, beside, foreign, p.names, p.cables)
     s = s.near_hulls(s.item[:, 1], s.point(s.item[:, 0]), p.cable_limit[1] + EXACT_RANGE)
     yield prove(*p.cable_limit, s, to_hull)
-    longer = "cable_length ratio max", 1e-4  # bound of lengths along vertices
-    s = Spans.of(p, tightened, k, p.cables)
-    yield prove(*longer, s, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
-    for further in (laid_cables, drawn_cables, loose_cables):
-        yield from further(p)
 
 
 def drawn_cables(p: Plan) -> Iterator[Row]:
