@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,6 +28,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.request import check_request
 from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
+from hitchopt.planners.candidates import error_of, outcome
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.moving import Morph
 from hitchopt.steps.step import Legs, Polygon, SettleAtEnd, Step
@@ -267,11 +269,11 @@ def _morph_or_error(
 
     The error has no traceback and no earlier errors, which some packages pickle, too.
     """
-    try:
-        return morph(start, polygon, **options)
-    except InfeasibleError as error:
-        error.__cause__ = error.__context__ = None
-        return error.with_traceback(None)
+    planned = outcome(partial(morph, start, polygon, **options))
+    if isinstance(planned, InfeasibleError):
+        planned.__cause__ = planned.__context__ = None
+        return planned.with_traceback(None)
+    return planned
 
 
 @contextmanager
@@ -413,11 +415,8 @@ def suggestions(
     progress: status callback.
     """
     task = _loaded(problem, "hitch")
-    try:
-        solve_problem(task, progress)
-    except InfeasibleError as error:
-        return find_suggestions(task, error, budget, progress)
-    return ()
+    error = error_of(partial(solve_problem, task, progress))
+    return () if error is None else find_suggestions(task, error, budget, progress)
 
 
 @suggest_keywords
@@ -430,13 +429,13 @@ def repair(
     of ``suggestions``. Raises InfeasibleError if no change is found.
     """
     task = _loaded(problem, "hitch")
-    try:
-        return solve(task, progress=progress)
-    except InfeasibleError as error:
-        candidates = find_suggestions(task, error, budget, progress)
-        if not candidates:
-            note = f"{error.note}\n{NO_CHANGE}" if error.note else NO_CHANGE
-            raise InfeasibleError(error.violations, note) from None
+    plan = outcome(partial(solve, task, progress=progress))
+    if not isinstance(plan, InfeasibleError):
+        return plan
+    candidates = find_suggestions(task, plan, budget, progress)
+    if not candidates:
+        note = f"{plan.note}\n{NO_CHANGE}" if plan.note else NO_CHANGE
+        raise InfeasibleError(plan.violations, note)
     change = candidates[0].change
     plan = solve(change.problem, progress=progress)
     return replace(plan, title=f"{task.title} with {change}".strip())

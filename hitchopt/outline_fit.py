@@ -8,7 +8,7 @@ the separation of the drones.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,10 +27,10 @@ from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm, Team
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.planners.candidates import Candidate, Effort, first_certified
+from hitchopt.planners.candidates import Candidate, Effort, first_certified, outcome
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import tying_tension
-from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, best_grip
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, HoldPolygons, best_grip
 from hitchopt.planners.carrying.straddle_planner import find_straddle
 from hitchopt.planners.grasps import (
     Heaviest,
@@ -274,7 +274,7 @@ def fit(
     holding = _tied(task) if robots == 2 else _holding(task, robots)
     if holding.tied_at is not None:
         notes.append(f"two cables are tied {holding.tied_at:.3g} m above the base")
-    others = {n: holding if n == robots else _attempt(partial(_holding, task, n)) for n in numbers}
+    others = {n: holding if n == robots else outcome(partial(_holding, task, n)) for n in numbers}
     return Fit(section, holding, others, tuple(notes))
 
 
@@ -317,6 +317,11 @@ class _Held:
         """Length of all cables [m]."""
         return float(self.judge.team.cable_length[0])
 
+    @property
+    def polygons(self) -> HoldPolygons:
+        """The polygons around the object, and of the clasps."""
+        return self.judge.planner.state.polygons
+
 
 def _holding(task: FitTask, robots: int) -> Holding:
     """Return the polygons for a number of robots; InfeasibleError if none encloses the object.
@@ -324,26 +329,22 @@ def _holding(task: FitTask, robots: int) -> Holding:
     Cables without a stated length are those of the grip, or of the rest of an object with a stem.
     """
     preferred, other = (HoldBy.GRIP, HoldBy.REST)[:: 1 if task.stem is None else -1]
-    first = _attempt(partial(_held, task, robots, preferred, task.cable_length))
-    cable = first.cable_length if isinstance(first, _Held) else task.cable_length
-    second = _attempt(partial(_held, task, robots, other, cable))
-    by_method = {preferred: first, other: second}
-    found = [held for held in (first, second) if isinstance(held, _Held)]
-    if not found:
+    first = outcome(partial(_held, task, robots, preferred, task.cable_length))
+    cable = task.cable_length if isinstance(first, InfeasibleError) else first.cable_length
+    second = outcome(partial(_held, task, robots, other, cable))
+    held = [each for each in (first, second) if isinstance(each, _Held)]
+    if isinstance(first, InfeasibleError) and not held:
         raise first
-    grip, rest = by_method[HoldBy.GRIP], by_method[HoldBy.REST]
-    capacities = (
-        held.heaviest.capacity if isinstance(held, _Held) else _zero_capacity(held)
-        for held in (grip, rest)
-    )
+    grip, rest = (first, second) if preferred is HoldBy.GRIP else (second, first)
     return Holding(
         task,
         robots,
-        ConvexPolygon(found[0].judge.planner.state.polygons.around),
-        found[0].cable_length,
-        _grip_of(task, grip) if isinstance(grip, _Held) else grip,
-        _rest_of(rest) if isinstance(rest, _Held) else rest,
-        *capacities,
+        ConvexPolygon(held[0].polygons.around),
+        held[0].cable_length,
+        _grip_of(task, grip),
+        _rest_of(rest),
+        _capacity_of(grip),
+        _capacity_of(rest),
     )
 
 
@@ -383,17 +384,25 @@ def _require_length(around: ConvexPolygon, cable: float, requirements: Requireme
         raise InfeasibleError([violation], "the enclosing polygon does not fit the cables")
 
 
-def _grip_of(task: FitTask, held: _Held) -> Grip:
-    """Return the grip of a judge."""
-    clasps = held.judge.planner.state.polygons.clasps
-    return Grip.of(task.section, clasps, held.cable_length, task.tension, task.clasp_friction)
+def _grip_of(task: FitTask, held: _Held | InfeasibleError) -> Grip | InfeasibleError:
+    """Return the grip that is held, or the error that there is none."""
+    if isinstance(held, InfeasibleError):
+        return held
+    clasps, cable = held.polygons.clasps, held.cable_length
+    return Grip.of(task.section, clasps, cable, task.tension, task.clasp_friction)
 
 
-def _rest_of(held: _Held) -> ConvexPolygon:
-    """Return the clasps below the rim that hold most."""
+def _rest_of(held: _Held | InfeasibleError) -> ConvexPolygon | InfeasibleError:
+    """Return the clasps below the rim that hold most, or the error that there are none."""
+    if isinstance(held, InfeasibleError):
+        return held
     hold = held.heaviest.hold
-    clasps = held.judge.planner.state.polygons.clasps if hold is None else hold.polygon
-    return ConvexPolygon(clasps)
+    return ConvexPolygon(held.polygons.clasps if hold is None else hold.polygon)
+
+
+def _capacity_of(held: _Held | InfeasibleError) -> Capacity:
+    """Return the largest mass that is held, none with an error."""
+    return _zero_capacity(held) if isinstance(held, InfeasibleError) else held.heaviest.capacity
 
 
 def _objects(task: FitTask, by: HoldBy) -> dict[str, SolidObject]:
@@ -461,11 +470,3 @@ def _tied(task: FitTask) -> Holding:
 def _zero_capacity(error: InfeasibleError) -> Capacity:
     """Return the zero capacity of a hitch that violates a limit without a load."""
     return Capacity(0.0, error.violations[0].constraint)
-
-
-def _attempt(search: Callable[[], Any]) -> Any:
-    """Return the result of a search, or its error, which is what a table of holds shows."""
-    try:
-        return search()
-    except InfeasibleError as error:
-        return error

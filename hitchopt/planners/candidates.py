@@ -2,9 +2,9 @@
 
 A planner yields its candidates. ``first_certified`` tries them, and is the only place that catches
 InfeasibleError to try something else. What a planner asks on the way is a query that returns None,
-or a violation, such as ``shape_violation``. The error itself is the answer of two queries: of
-forces without a balance (``if_balanced``; how much a move must be slowed), of how candidates rank
-and what they could do (``error_of``). ``violations_at`` only adds the time to an error.
+or a violation, such as ``shape_violation``. The error itself is an answer where candidates are
+ranked or shown (``outcome``, ``error_of``), and where forces have no balance (``if_balanced``; how
+much a move must be slowed). ``violations_at`` only adds the time to an error.
 
 The search within one candidate, such as that of the optimiser, has an effort of its own.
 """
@@ -137,13 +137,18 @@ def first_feasible(candidates: Iterable[Candidate[T]], otherwise: U) -> T | U:
     return first_certified(ways, Effort())
 
 
-def error_of(query: Callable[[], object]) -> InfeasibleError | None:
-    """Return what a query finds infeasible, or None; it ranks or measures candidates."""
+def outcome(query: Callable[[], T]) -> T | InfeasibleError:
+    """Return what a query answers, or what it finds infeasible, which is its answer then."""
     try:
-        query()
+        return query()
     except InfeasibleError as error:
         return error
-    return None
+
+
+def error_of(query: Callable[[], object]) -> InfeasibleError | None:
+    """Return what a query finds infeasible, or None; it ranks or measures candidates."""
+    answer = outcome(query)
+    return answer if isinstance(answer, InfeasibleError) else None
 
 
 def _report_faults(failures: Sequence[Failure]) -> None:

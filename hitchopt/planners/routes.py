@@ -543,7 +543,7 @@ def optimised_plan(
     """
     from hitchopt.planners.morph.legs import legs_clear, with_slides
     from hitchopt.planners.optimise.cost import FlightCost
-    from hitchopt.planners.optimise.search import NoRouteError, OptimisedMorph
+    from hitchopt.planners.optimise.search import OptimisedMorph
     from hitchopt.planners.timing.timed_motion import check_duration, in_duration
 
     requirements = task.requirements
@@ -567,16 +567,16 @@ def optimised_plan(
     def certified_motion(path: Path) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
         climbed = climbing(path)
-        routes = list[Candidate[Motion]]()
+        candidates = list[Candidate[Motion]]()
         if allow_slides:
             sliding = with_slides(climbed, requirements.limits)
-            routes += [
+            candidates += [
                 Candidate("route with slides", partial(certified_along, variant))
                 for variant in sliding
                 if legs_clear(variant, requirements)
             ]
-        routes.append(Candidate("route", partial(certified_along, climbed)))
-        return first_feasible(routes, None)
+        candidates.append(Candidate("route", partial(certified_along, climbed)))
+        return first_feasible(candidates, None)
 
     custom_cost = None if cost is None else FlightCost(task.hitch.team, cost)
     morph = OptimisedMorph(
@@ -589,14 +589,13 @@ def optimised_plan(
         custom_cost,
         task.effort,
     )
-    try:
-        candidates = morph.solve()
-    except NoRouteError as error:
-        path = climbing(error.best.path)
-        return _plan_along_best(task, path, error.best.name, end, phase)
-    if not candidates:
+    routes = morph.solve()
+    if routes.rejected is not None:
+        path = climbing(routes.rejected.path)
+        return _plan_along_best(task, path, routes.rejected.name, end, phase)
+    if not routes.accepted:
         raise HitchoptError("no route was found")
-    fastest = candidates[0]
+    fastest = routes.accepted[0]
     plan = certified[fastest.motion]
     if duration is not None:
         check_duration(duration, plan.motion.duration)
@@ -605,7 +604,7 @@ def optimised_plan(
         plan = require_certified(replace(plan, motion=slower))
     remark = ""
     if plan.path is not straight:
-        is_feasible = any(not candidate.name for candidate in candidates)
+        is_feasible = any(not route.name for route in routes.accepted)
         remark = _remark(fastest.name, is_feasible=is_feasible, has_cost=cost is not None)
     if (allow_slides or cost is not None) and duration is None:
         plan, gain = refined_plan(task, plan, phase, custom_cost)

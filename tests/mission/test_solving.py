@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.planners.optimise.search import OptimisedMorph
+from hitchopt.planners.optimise.search import OptimisedMorph, Routes
 from hitchopt.steps.moving import Morph
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.values import Array
@@ -132,7 +132,7 @@ def test_a_shut_way_is_gone_round_or_the_refusal_says_so(monkeypatch: pytest.Mon
     half = ho.morph(start, SQUARE.renumbered(2))
     assert "the step's own route is infeasible" in half.phases[0].remark
     assert half.certificate.certified
-    monkeypatch.setattr(OptimisedMorph, "solve", lambda _: [])
+    monkeypatch.setattr(OptimisedMorph, "solve", lambda _: Routes([], None))
     tried = "the best of 2 candidates: the step's own route, optimised route"
     with pytest.raises(ho.InfeasibleError, match=tried) as caught:
         ho.morph(start, SQUARE.renumbered(2))

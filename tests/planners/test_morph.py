@@ -18,7 +18,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import moves, straight_path
-from hitchopt.planners.optimise import program, search
+from hitchopt.planners.optimise import program
 from hitchopt.planners.optimise.guesses import polygon_guesses
 from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import build_program, iterates
@@ -53,7 +53,7 @@ def test_renumbering_gives_the_same_duration() -> None:
 def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) -> list[Motion]:
     """The optimiser's motions with a judge that accepts every flight, the fastest first."""
     given = OptimisedMorph(start, end, FREE, lambda path: motion_along(path, FREE), tension).solve()
-    flights = [candidate.motion for candidate in given]
+    flights = [route.motion for route in given.accepted]
     durations = [flight.duration for flight in flights]
     assert durations == sorted(durations) != []
     return flights
@@ -293,7 +293,7 @@ def test_what_cannot_be_faster_is_not_searched() -> None:
         straight=straight,
         effort=effort,
     )
-    assert [candidate.name for candidate in planner.solve()] == [""]
+    assert [route.name for route in planner.solve().accepted] == [""]
     assert effort.spent == 0.0
 
 
@@ -311,5 +311,7 @@ def test_the_optimizer_ends_at_the_limit_of_its_effort() -> None:
 def test_a_morph_without_a_route_names_the_best_one_tried() -> None:
     """Legs are as long as edges; no path of the search is feasible."""
     start, end = ends(Team(4, 4.0), SQUARE, SQUARE.rotated(0.5))
-    with pytest.raises(search.NoRouteError, match="the best one tried: edges turned"):
-        OptimisedMorph(start, end, FREE, lambda _: None).solve()
+    routes = OptimisedMorph(start, end, FREE, lambda _: None).solve()
+    assert routes.accepted == []
+    assert routes.rejected is not None
+    assert routes.rejected.name == "edges turned"

@@ -19,7 +19,7 @@ from hitchopt.planners.optimise.shape_rows import PathShapes, ShapeBlock
 from hitchopt.planners.optimise.splines import PathSplines
 from hitchopt.planners.path import LegLaw, Path
 from hitchopt.planners.timing.clock import Clock
-from hitchopt.planners.timing.profile import TimingError
+from hitchopt.planners.timing.profile import if_timed
 from hitchopt.planners.timing.timed_motion import (
     ClockedMotion,
     fastest_motion,
@@ -231,7 +231,4 @@ def with_leg_lengths(path: Path) -> Path:
 
 def _fastest_motion(path: Path, requirements: Requirements) -> ClockedMotion | None:
     """Return the fastest motion along a path, or None if no timing was found."""
-    try:
-        return fastest_motion(path, requirements)
-    except TimingError:
-        return None
+    return if_timed(partial(fastest_motion, path, requirements))

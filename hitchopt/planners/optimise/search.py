@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.forces import if_balanced
@@ -171,7 +170,7 @@ def min_duration(start: Hitch, end: Hitch, limits: Limits) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Route:
     """A motion that the judge accepted."""
 
     name: str
@@ -185,23 +184,25 @@ class Candidate:
 
     @property
     def objective(self) -> float:
-        """Duration and cost [s], which the best candidate minimises."""
+        """Duration and cost [s], which the best route minimises."""
         return self.motion.duration + self.cost
 
 
-class NoRouteError(HitchoptError):
-    """No guess led to a motion; ``best`` is the path with the largest margin of distances."""
+class Routes(NamedTuple):
+    """What a search found."""
 
-    def __init__(self, best: KnotPath) -> None:
-        self.best = best
-        super().__init__(f"no route was found; the best one tried: {best.name}")
+    accepted: list[Route]
+    """Motions along feasible paths, the fastest first, or the cheapest with a cost."""
+
+    rejected: KnotPath | None
+    """The path with the largest margin of distances, if none was accepted and some were tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class OptimisedMorph:
     """A planner of morphs along optimised paths; those of chains are guesses as they are.
 
-    If the straight path is feasible, it is the first candidate, and the search is limited to what
+    If the straight path is feasible, it is the first route, and the search is limited to what
     can be faster.
     """
 
@@ -234,35 +235,32 @@ class OptimisedMorph:
         """Lower bound of the duration [s]."""
         return min_duration(self.start, self.end, self.requirements.limits)
 
-    def solve(self) -> list[Candidate]:
-        """Return the motions along feasible paths, the fastest, or cheapest with a cost, first.
+    def solve(self) -> Routes:
+        """Return the motions along feasible paths.
 
         Guesses are optimised in the order of their estimated durations; on ties, turning edges
         precede turning polygons. Optimised paths that equal earlier ones are skipped, and the
-        search ends if no path can be faster by MIN_GAIN. Raises NoRouteError if there is none.
+        search ends if no path can be faster by MIN_GAIN.
         """
-        candidates = list[Candidate]()
+        routes = list[Route]()
         straight_motion = None if self.straight is None else self.judge(self.straight)
         if self.straight is not None and straight_motion is not None:
-            candidates.append(
-                Candidate("", straight_motion, self._cost_of(self.straight, straight_motion))
-            )
+            cost = self._cost_of(self.straight, straight_motion)
+            routes.append(Route("", straight_motion, cost))
         rejected: list[KnotPath] = []
         if self.start.team.layout.closed:
-            candidates += self._optimised(straight_motion, rejected)
-        if not candidates:
-            candidates += self._rolled(rejected)
-        if not candidates and rejected:
-            raise NoRouteError(_most_feasible(rejected, self.requirements))
-        return sorted(candidates, key=lambda candidate: candidate.objective)
+            routes += self._optimised(straight_motion, rejected)
+        if not routes:
+            routes += self._rolled(rejected)
+        if not routes and rejected:
+            return Routes([], _most_feasible(rejected, self.requirements))
+        return Routes(sorted(routes, key=lambda route: route.objective), None)
 
     def _cost_of(self, path: Path, motion: Motion) -> float:
         """Return an estimate of the cost of a motion [s]; 0 without a cost."""
         return 0.0 if self.cost is None else self.cost.at_rest(path, motion.duration)
 
-    def _optimised(
-        self, straight_motion: Motion | None, rejected: list[KnotPath]
-    ) -> list[Candidate]:
+    def _optimised(self, straight_motion: Motion | None, rejected: list[KnotPath]) -> list[Route]:
         """Return the motions along optimised guesses that may be faster than the straight one."""
         fastest = math.inf if straight_motion is None else straight_motion.duration
         if self.cost is None and self.min_duration > (1.0 - MIN_GAIN) * fastest:
@@ -284,7 +282,7 @@ class OptimisedMorph:
         guesses = [paths[index].with_perturbed_legs(LEG_PERTURBATION) for index in order]
         max_effort = self._max_effort(paths, has_motion=straight_motion is not None)
         search = self._search_limits(max_effort, rejected)
-        return self._candidates_near(guesses, estimates[order], search, fastest)
+        return self._routes_near(guesses, estimates[order], search, fastest)
 
     def _guess_margins(self, *, with_straight: bool) -> dict[KnotPath, Array]:
         """Return initial guesses that are hitches at all knots, and their margins of distances.
@@ -349,14 +347,14 @@ class OptimisedMorph:
             cost=self.cost,
         )
 
-    def _candidates_near(
+    def _routes_near(
         self, guesses: list[KnotPath], estimates: Array, search: SearchLimits, fastest: float
-    ) -> list[Candidate]:
+    ) -> list[Route]:
         """Return the motions along optimised guesses, in the order of their estimates [s].
 
         ``fastest`` is the duration of the straight motion [s], infinite without one.
         """
-        candidates: list[Candidate] = []
+        routes: list[Route] = []
         visited: list[KnotPath] = []
         last_estimate = math.inf  # of the last optimised path with a motion [s]
         only_time = self.cost is None
@@ -372,20 +370,20 @@ class OptimisedMorph:
             max_estimate = min(MAX_ESTIMATE_RATIO * fastest, (1.0 - MIN_GAIN) * last_estimate)
             if only_time and estimate > max_estimate:
                 continue
-            candidate = _refined(path, search)
-            if candidate is None:
+            route = _refined(path, search)
+            if route is None:
                 continue
-            candidates.append(candidate)
+            routes.append(route)
             last_estimate = estimate
-            fastest = min(fastest, candidate.motion.duration)
+            fastest = min(fastest, route.motion.duration)
             if only_time and self.min_duration > (1.0 - MIN_GAIN) * fastest:
                 break
-        return candidates
+        return routes
 
-    def _rolled(self, rejected: list[KnotPath]) -> list[Candidate]:
+    def _rolled(self, rejected: list[KnotPath]) -> list[Route]:
         """Return the motion along the first feasible guess with roll, optimised or as it is."""
         guesses = rolled_guesses(self.start, self.end, self.requirements)[:MAX_ROLLED]
-        unoptimised: list[Candidate] = []
+        unoptimised: list[Route] = []
         spent = 0.0
         for guess in guesses:
             max_effort = MAX_EFFORT * guess.robot_knots
@@ -395,16 +393,16 @@ class OptimisedMorph:
             if self.start.team.layout.closed:
                 perturbed = guess.with_perturbed_legs(LEG_PERTURBATION)
                 path = _optimised_path(perturbed, search, visited=[])
-                candidate = None if path is None else _refined(path, search)
-                if candidate is not None:
-                    return [candidate]
+                route = None if path is None else _refined(path, search)
+                if route is not None:
+                    return [route]
                 spent += search.effort.spent
             if not unoptimised:
                 motion = self._flown_as_it_is(guess)
                 if motion is None:
                     rejected.append(guess)
                 else:
-                    unoptimised = [Candidate(guess.name, motion, self._cost_of(guess.path, motion))]
+                    unoptimised = [Route(guess.name, motion, self._cost_of(guess.path, motion))]
         return unoptimised
 
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
@@ -469,14 +467,14 @@ def _optimised_path(
     return path
 
 
-def _refined(path: KnotPath, search: SearchLimits) -> Candidate | None:
+def _refined(path: KnotPath, search: SearchLimits) -> Route | None:
     """Return the motion along a refined path of minimum energy, or along a better one near it.
 
     Refinement enforces distances between the knots, then adds knots, up to a feasible path. With a
     cost, further knots then improve this path.
     """
     initial_steps = path.steps
-    best: Candidate | None = None
+    best: Route | None = None
     for refinement in REFINEMENTS:
         tight = replace(search, margin=refinement.margin)
         adds_knots = refinement.steps_factor > 1
@@ -492,11 +490,11 @@ def _refined(path: KnotPath, search: SearchLimits) -> Candidate | None:
         accepted = _last_accepted([path, *better_paths[-MAX_JUDGED:]], search)
         if accepted is None:
             continue
-        accepted_path, candidate = accepted
+        accepted_path, route = accepted
         if search.cost is None:
-            return candidate
-        if best is None or candidate.objective < best.objective:
-            best = candidate
+            return route
+        if best is None or route.objective < best.objective:
+            best = route
             path = accepted_path
     if best is None:
         search.rejected.append(path)
@@ -557,14 +555,12 @@ def _better_paths(path: KnotPath, search: SearchLimits) -> list[KnotPath]:
     return better
 
 
-def _last_accepted(
-    paths: list[KnotPath], search: SearchLimits
-) -> tuple[KnotPath, Candidate] | None:
+def _last_accepted(paths: list[KnotPath], search: SearchLimits) -> tuple[KnotPath, Route] | None:
     """Return the last of several paths that the judge accepts, and its motion; None without one."""
     for path in reversed(paths):
         motion = search.judge(path.path)
         if motion is not None:
-            return path, Candidate(path.name, motion, search.cost_of(path.path, motion.duration))
+            return path, Route(path.name, motion, search.cost_of(path.path, motion.duration))
     return None
 
 

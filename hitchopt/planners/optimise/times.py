@@ -7,6 +7,7 @@ from rest, over half of one.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +18,9 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.optimise.knots import KnotPath
 from hitchopt.planners.timing.profile import (
     GRID,
-    TimingError,
     demands_along,
     fastest_profile,
+    if_timed,
     path_grid,
     spare_accelerations,
 )
@@ -98,9 +99,9 @@ def step_times(path: KnotPath, limits: Limits) -> Array:
     """Return the times (J,) [s] of all steps on the fastest flight; at speed limits without one."""
     longest: Array = np.max(segment_times(path, limits), axis=1)
     grid = path_grid(GRID)
-    try:
-        profile = fastest_profile(grid, demands_along(path.path, limits))
-    except TimingError:
+    demands = demands_along(path.path, limits)
+    profile = if_timed(partial(fastest_profile, grid, demands))
+    if profile is None:
         return longest
     knots = np.linspace(0.0, 1.0, path.steps + 1)
     return np.maximum(longest, np.diff(np.interp(knots, grid, profile.times)))

@@ -55,8 +55,10 @@ def moved_curves(
     moving: NDArray[np.bool_],
     damping: float,
     max_iterations: int,
-) -> Array:
+) -> Array | None:
     """Return the curves (N, count, 3) [m] after one program around the current ones.
+
+    None if the program has no finite solution.
 
     Parameters
     ----------
@@ -65,18 +67,17 @@ def moved_curves(
     moving: (N,), mask of drones that may move.
     damping: weight of squared changes.
     max_iterations: of OSQP.
-
-    Raises
-    ------
-    ProgramError: no finite point was returned.
     """
     free = setting.grid.free
     program = build_program(setting, coefficients, duration, planes, damping)
     mask = np.ones(len(program.q), dtype=np.bool_)
     if not np.all(moving):
         program, mask = _reduced(program, np.repeat(moving, 3 * (free.stop - free.start)))
+    changed = solve_program(program, max_iterations)
+    if changed is None:
+        return None
     solution = np.zeros(len(mask))
-    solution[mask] = solve_program(program, max_iterations)
+    solution[mask] = changed
     moved = coefficients.copy()
     inner = moved[:, free]
     changes = solution[: inner.size].reshape(inner.shape)
@@ -280,20 +281,14 @@ MIN_TIME_LIMIT = 1e-3
 """[s] Smallest time limit for OSQP, in which zero means no limit."""
 
 
-class ProgramError(Exception):
-    """No finite point was returned by OSQP."""
-
-
-def solve_program(program: QuadraticProgram, max_iterations: int) -> Array:
+def solve_program(program: QuadraticProgram, max_iterations: int) -> Array | None:
     """Return OSQP's solution (variables,) of a program, whose bounds on variables are rows.
+
+    None if OSQP returns no finite point.
 
     Only rows near their bounds are enforced at first; others are added when they are violated, and
     the iteration continues. After ``max_iterations`` the last iterate is returned: later programs
     correct its residuals.
-
-    Raises
-    ------
-    ProgramError: no finite point was returned.
     """
     import osqp
 
@@ -326,7 +321,7 @@ def solve_program(program: QuadraticProgram, max_iterations: int) -> Array:
         check_time()  # an interrupted solve has no solution
         x = np.asarray(result.x, dtype=np.float64)
         if x.shape != program.q.shape or not np.all(np.isfinite(x)):
-            raise ProgramError(str(result.info.status))
+            return None
         values = matrix @ x
         excess = np.maximum(lower - values, values - upper)
         added = ~enforced & (excess > -ADDED_RANGE)

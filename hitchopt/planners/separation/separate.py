@@ -34,7 +34,6 @@ from hitchopt.planners.separation.prioritized import prioritized
 from hitchopt.planners.separation.program import (
     PLANE_MARGIN,
     Planes,
-    ProgramError,
     moved_curves,
     planes_between,
     planes_to_prism,
@@ -299,11 +298,10 @@ def _improved(guess: Guess, report: Progress, effort: Effort) -> CurveBounds:
         duration = _shortest(setting) if at_shortest else _target_duration(setting, current)
         damping = DAMPING * DAMPING_FACTOR**idle_rounds
         effort.spend(setting.task.drones * setting.grid.pieces)
-        try:
-            moved = moved_curves(
-                setting, current.coefficients, duration, planes, moving, damping, max_iterations
-            )
-        except ProgramError:
+        moved = moved_curves(
+            setting, current.coefficients, duration, planes, moving, damping, max_iterations
+        )
+        if moved is None:
             break
         current = evaluate(setting, moved)
         report(f"round {iteration + 1}: {current.duration:.3g} s, separation {current.closest:.3f}")

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import NamedTuple
+from functools import cached_property, lru_cache, partial
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from hitchopt.hitch.model import FlatJets, drone_jets
 from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.path import FlatPath
 from hitchopt.values import Array, Indices
+
+T = TypeVar("T")
 
 LIMIT_SHARE = 0.999
 """Fraction of the limits at samples, with a reserve for the times between."""
@@ -331,6 +333,14 @@ class TimingError(HitchoptError):
     """No timing of the path from rest to rest satisfies the limits."""
 
 
+def if_timed(query: Callable[[], T]) -> T | None:
+    """Return what a query answers, or None if a path has no timing."""
+    try:
+        return query()
+    except TimingError:
+        return None
+
+
 def path_grid(steps: int) -> Array:
     """Return a grid (steps + 1,) from 0 to 1, finer at the ends, where speeds are low."""
     return 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
@@ -522,10 +532,9 @@ def _estimates(demands: Demands) -> list[float]:
     for first in range(0, len(demands.loads), len(s)):
         points = slice(first, first + len(s))
         of_path = demands.at(points)
-        try:
-            profile = fastest_profile(s, of_path, polygons.at(points))
-        except TimingError:
+        profile = if_timed(partial(fastest_profile, s, of_path, polygons.at(points)))
+        if profile is None:
             estimates.append(math.inf)
-            continue
-        estimates.append(profile.duration + RAMP_SHARE * acceleration_ramp(profile, of_path))
+        else:
+            estimates.append(profile.duration + RAMP_SHARE * acceleration_ramp(profile, of_path))
     return estimates
