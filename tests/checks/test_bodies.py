@@ -146,8 +146,10 @@ def test_ones_own_drones_keep_off_a_cable_that_is_tightened(tmp_path: Path) -> N
 def tied(state: CableState) -> tuple[Motion, float, Array]:
     """Return a phase, its middle, and a place between chord and taut route of cable 0 there."""
     whole = hitch("form_triangle")
-    phase = next(p for p in whole.phases if p.state is state)
+    similar = CableState.TIGHTENING if state is CableState.LOOSE else state
+    phase = next(p for p in whole.phases if p.state is similar)
     part = shifted(slice_time(whole, phase.start, phase.end), -phase.start)
+    part = part.replaced(phases=tuple(replace(each, state=state) for each in part.phases))
     x, p = part.drones.at(0.5 * part.duration), whole.vertices.at(phase.end)
     place = 0.5 * (np.mean(p[[0, 1]], axis=0) + np.mean(x[[0, 1]], axis=0))
     return part, 0.5 * part.duration, place
