@@ -165,9 +165,8 @@ def morph(
         that takes more than 1.3 times its lower bound; then refine the route together with its
         speed, within a fixed amount of work.
     tension: range of tensions during the step [N].
-    settle: where cables slid against friction, the step ends with motions that remove its
-        hysteresis, added to its duration [s]; auto: vertices that moved over-travel, or drones
-        swing; a duration: drones swing for it; or false.
+    settle: duration of the over-travels that end the step where cables slid against friction, added
+        to its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None: unlimited.
     cost: a function of the hitch in motion in casadi, to be minimised together with the duration:
@@ -323,9 +322,8 @@ def form(
         with sharing (one of these) and roll_deg, at the step's end; spread without it.
     assign: auto: choose which robot takes which edge, and which end is its q; fixed: in order.
     swap: how drones turn in pairs.
-    settle: where cables slid against friction, the step ends with motions that remove its
-        hysteresis, added to its duration [s]; auto: vertices that moved over-travel, or drones
-        swing; a duration: drones swing for it; or false.
+    settle: duration of the over-travels that end the step where cables slid against friction, added
+        to its duration [s]; auto: as far as limits allow; or false.
     by: swaps: pairs of drones swap positions; laying: taut cables are laid on one another, and
         every pair rolls by half a turn.
     order: order of laying, robots from bottom to top; auto: alternating levels.

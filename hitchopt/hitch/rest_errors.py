@@ -12,6 +12,7 @@ vertex farthest, in both directions, and twice the largest difference to first o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -282,6 +283,25 @@ def settled(
     if np.any(friction):
         nodes = energy.rest_with_friction(nodes, friction)
     return np.asarray(nodes[:, energy.points])
+
+
+def longest_period(team: Team, samples: Mapping[str, Array]) -> float:
+    """Return the longest period [s] with which a hitch at rest (S = 1) swings without friction.
+
+    Each node has its drone's mass or its load, and half of each span's mass.
+    """
+    energy = energy_of(team, loops_of(team), samples)
+    nodes = energy.at_rest()
+    stiffness = energy.matrix(nodes, energy.linear(nodes).forces).toarray()
+    masses = np.concatenate([team.mass, np.zeros(len(energy.free) - energy.drones)])
+    masses[energy.points[team.layout.clasps]] += team.load
+    halves = 0.5 * team.cable_density * energy.spans(nodes[:, energy.nodes]).lengths[0]
+    for span in range(3):
+        np.add.at(masses, energy.nodes[:, span], halves[:, span])
+        np.add.at(masses, energy.nodes[:, span + 1], halves[:, span])
+    # Eigenvalues of K⁻¹ M are squares of the periods over 2π; massless nodes have none
+    squares = np.linalg.eigvals(np.linalg.solve(stiffness, np.diag(np.repeat(masses, 3))))
+    return 2.0 * math.pi * math.sqrt(float(np.max(squares.real)))
 
 
 def loops_of(team: Team) -> dict[str, Array]:

@@ -30,7 +30,7 @@ TAKE_OFF = "take-off"
 """Name of phases in which tying begins, up from the ground."""
 
 SETTLE = "settle"
-"""Name of phases in which drones swing to remove friction hysteresis, at the end of a step."""
+"""Name of phases at the ends of steps in which vertices over-travel against friction."""
 
 
 class CableState(StrEnum):

@@ -1,16 +1,16 @@
-"""Settling at the end of steps: over-travels of the vertices that moved, or swings of drones.
+"""Settling: over-travels of vertices that decay, which remove the hysteresis of friction.
 
 Where cables slid, friction holds a hitch within a band about its goal, on the side from which it
-came. Vertices that alternate about their goals along their own ways, each time a little less far,
-end in the middle of the band, as in demagnetization. With smaller friction the band is narrower,
-and what remains is as small. These over-travels are plain morphs, in which no leg leans.
+came. Vertices that alternate about their goals, each time a little less far, end in the middle of
+the band, as in demagnetization. With smaller friction the band is narrower, and what remains is as
+small; without friction vertices follow the plan. Over-travels are plain morphs: no leg leans.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-from functools import partial
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -19,12 +19,12 @@ from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import SETTLE, Phase, concatenated
+from hitchopt.hitch.rest_errors import longest_period, planned_rest, settled
+from hitchopt.motion.motion import SETTLE, Motion, Phase, concatenated
 from hitchopt.motion.states import states_at
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
-from hitchopt.planners.compensation import settling_plan
 from hitchopt.planners.ends import end_of_morph
-from hitchopt.planners.rests import rest_plan
+from hitchopt.planners.rests import IDLE, rest_motion, rest_plan
 from hitchopt.planners.routes import straight_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.values import Array
@@ -32,18 +32,28 @@ from hitchopt.values import Array
 MIN_SLIDE = 1e-3
 """[m] Change of leg lengths below which a step ends without settling."""
 
-STEP = 0.02
-"""[m] Difference in size of consecutive over-travels. Vertices rest within half of it of the middle
-of their band: they stop moving once two over-travels together are smaller than the band."""
+STEP = 0.025
+"""[m] Mean difference in size of consecutive over-travels. Vertices rest within half a difference
+of the middle of their band: they stop moving once two over-travels together are smaller than it."""
 
-MAX_COUNT = 14
-"""Largest number of over-travels; wider bands have larger steps."""
+DECAY = 0.75
+"""Exponent of the sizes over time, which makes differences of large over-travels smaller, since
+friction that needs these leaves vertices farther off."""
 
-FIRST = 0.8
-"""Ratio of the first over-travel to the width of the band; from one half on all friction yields."""
+FIRST = 0.9
+"""Ratio of the first over-travel to the width of the band."""
+
+SUFFICIENT = 0.8
+"""Least such ratio from which all friction yields, since a cable may slide alone. With 0.65,
+vertices of simulated triangles rest 4 cm off, 0.16 of the width of their bands."""
+
+MOVE_SHARE = 0.8
+"""Shortest duration of an over-travel, and of the rest after the last one, over the longest period
+with which vertices swing without friction. At 0.5 over-travels are in resonance with it: with 0.6,
+simulated drones reached a clasp; with 0.8, vertices swing by 1 to 3 cm."""
 
 SHARES = (1.0, 0.8, 0.6, 0.4)
-"""Shares of the first over-travel that are tried, where limits bind."""
+"""Shares of the over-travels that are tried, where limits bind."""
 
 FOLLOWING = 0.5
 """Smallest way of a vertex that over-travels, over that of the vertex that moved farthest."""
@@ -54,11 +64,9 @@ angle of 60° at which simulated cables cross there."""
 
 
 def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) -> StepPlan:
-    """Return the plan with motions at its end that remove the hysteresis of cables that slid.
+    """Return the plan with over-travels at its end if cables slid against friction.
 
-    ``settle`` is ``Step.settling`` of its last step. Vertices that moved over-travel; where limits
-    bind or no vertex moved, after tying, or for a prescribed duration [s], drones swing. If limits
-    bind, automatic swings are omitted, and swings of a prescribed duration raise InfeasibleError.
+    ``settle`` is ``Step.settling`` of its last step. Raises InfeasibleError as ``settling_plan``.
     """
     hitch = plan.after.hitch
     if settle is False or hitch is None or hitch.team.cable_friction == 0.0:
@@ -70,85 +78,153 @@ def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) ->
     at_end = task.within(task.requirements, plan.after)
     phase = Phase(SETTLE, plan.motion.phases[-1].step, 0.0, 0.0)
     seconds = settle if isinstance(settle, float) else None
-    if before is None or seconds is not None:
-        settling = settling_plan(at_end, seconds, phase, required=seconds is not None)
-    else:
-        settling = first_certified(_ways_to_settle(at_end, before, phase), Effort())
+    settling = settling_plan(at_end, seconds, phase, before)
     return replace(plan, motion=concatenated([plan.motion, settling.motion]))
 
 
-def _ways_to_settle(task: StepTask, start: Hitch, phase: Phase) -> Iterator[Candidate[StepPlan]]:
-    """Yield over-travels about a hitch at rest to which vertices moved from ``start``, then swings.
+def settling_plan(
+    task: StepTask, duration: float | None, phase: Phase, start: Hitch | None = None
+) -> StepPlan:
+    """Return the plan in which vertices over-travel, and end where they are.
 
-    There are only swings for bands that are narrower than STEP.
+    They over-travel along their ways from the hitch ``start``, or inward and outward without one.
+    Where limits bind they over-travel less, or not at all; the remark names the vertex that may
+    rest farthest off. Raises InfeasibleError if that is farther than ``limits.vertex_error``, or if
+    limits bind within a prescribed ``duration`` [s].
     """
-    swings = partial(settling_plan, task, None, phase, required=False)
-    bands = _bands(start, task.hitch, task.requirements)
-    widths = length(bands)
-    if not np.max(widths) >= STEP:  # nan without a balance
-        yield Candidate("swing of drones", swings)
-        return
-    for share in SHARES:
-        yield Candidate("over-travel", partial(_over_travel, task, bands, phase, share))
-    widest = int(np.argmax(widths))
-    name = task.hitch.team.point_names[widest]
-    remark = f"no room for {name} to over-travel; without swings it may rest "
-    remark += f"{50.0 * widths[widest]:.2g} cm short"
-    yield Candidate("swing of drones", lambda: swings().with_remark(remark))
+    settling = Settling(task, duration, phase, start)
+    if not settling.width >= STEP:  # nan without a balance
+        return settling.rest(f"friction holds vertices within {50.0 * settling.width:.2g} cm")
+    ways = [Candidate("over-travel", partial(settling.over_travels, share)) for share in SHARES]
+    if duration is None:
+        ways[-1] = replace(
+            ways[-1], amended=lambda error: Candidate("rest", partial(settling.unsettled, error))
+        )
+    return first_certified(ways, Effort())
 
 
-def _bands(start: Hitch, end: Hitch, requirements: Requirements) -> Array:
-    """Return the bands of rest (points, 2) [m] of vertices along their ways, 0 for short ones.
+@dataclass(frozen=True, eq=False)
+class Settling:
+    """How a hitch at rest settles; arguments are those of ``settling_plan``."""
 
-    They span the rests with friction against the slides of the cables from ``start`` to ``end``,
-    and in their direction. They are nan where friction has no balance.
-    """
-    from hitchopt.hitch.rest_errors import planned_rest, settled
+    task: StepTask
+    duration: float | None
+    phase: Phase
+    start: Hitch | None
 
-    ways = (end.vertices - start.vertices)[:, :2]
-    distances = length(ways)
-    farthest = float(np.max(distances))
-    if farthest < MIN_SLIDE:
-        return np.zeros_like(ways)
-    states = states_at(rest_plan(end, requirements).motion, np.zeros(2))
-    planned = planned_rest(
-        end.team, states.positions, states.vertices, states.tensions, states.cable_forces
-    )
-    slides = BOTH_SLIDE * end.team.cable_friction * np.sign(end.legs - start.legs)
-    against, along = settled(
-        end.team,
-        planned,
-        lengths=np.zeros((2, end.team.robots)),
-        offsets=np.zeros_like(states.positions),
-        friction=np.stack([slides, -slides]),
-    )
-    directions = ways / np.maximum(distances, MIN_SLIDE)[:, None]
-    widths = np.abs(dot((along - against)[:, :2], directions))
-    return np.where((distances >= FOLLOWING * farthest)[:, None], widths[:, None] * directions, 0.0)
+    @cached_property
+    def at_rest(self) -> dict[str, Array]:
+        """The hitch at rest, as ``planned_rest``."""
+        motion = rest_plan(self.task.hitch, self.task.requirements).motion
+        states = states_at(motion, np.zeros(1))
+        return planned_rest(
+            motion.team, states.positions, states.vertices, states.tensions, states.cable_forces
+        )
+
+    @cached_property
+    def bands(self) -> Array:
+        """(points, 2) [m], the bands of rest across which vertices over-travel.
+
+        They span the rests with friction against the slides of the cables since the start, or
+        outward without one, and in their direction. If vertices moved, bands are along their ways,
+        and 0 for others. They are nan where friction has no balance.
+        """
+        end, start = self.task.hitch, self.start
+        team = end.team
+        slides = np.ones_like(end.legs) if start is None else np.sign(end.legs - start.legs)
+        friction = BOTH_SLIDE * team.cable_friction * slides
+        both_ways = {name: np.repeat(values, 2, axis=0) for name, values in self.at_rest.items()}
+        against, along = settled(
+            team,
+            both_ways,
+            lengths=np.zeros((2, team.robots)),
+            offsets=np.zeros((2, team.drones, 3)),
+            friction=np.stack([friction, -friction]),
+        )
+        bands = np.zeros_like(end.polygon.vertices)
+        clasps = team.layout.clasps
+        bands[clasps] = (along - against)[clasps, :2]
+        ways = np.zeros_like(bands) if start is None else (end.vertices - start.vertices)[:, :2]
+        distances = length(ways)
+        farthest = float(np.max(distances))
+        if farthest < MIN_SLIDE:
+            return bands
+        directions = ways / np.maximum(distances, MIN_SLIDE)[:, None]
+        widths = np.abs(dot(bands, directions)) * (distances >= FOLLOWING * farthest)
+        return np.asarray(widths[:, None] * directions)
+
+    @property
+    def width(self) -> float:
+        """Width of the widest band [m]."""
+        return float(np.max(length(self.bands)))
+
+    @property
+    def vertex(self) -> str:
+        """Name of the vertex with the widest band."""
+        return self.task.hitch.team.point_names[int(np.argmax(length(self.bands)))]
+
+    @cached_property
+    def shortest_move(self) -> float:
+        """Shortest duration of an over-travel [s]."""
+        return MOVE_SHARE * longest_period(self.task.hitch.team, self.at_rest)
+
+    def over_travels(self, share: float) -> StepPlan:
+        """Return the certified plan of a share of the over-travels."""
+        goal, requirements = self.task.hitch, self.task.requirements
+        size = share * FIRST * self.width
+        short = min(0.5, SUFFICIENT - share * FIRST) * self.width
+        self._require_near(short)
+        count = math.ceil(size / STEP)
+        decay = np.linspace(1.0, 1.0 / count, count) ** DECAY
+        sizes = share * FIRST * decay * (-1.0) ** np.arange(count)
+        hitches = [_beyond(goal, by * self.bands, requirements) for by in sizes.tolist()]
+        ends = [*hitches, goal, goal]
+        moves = plan_in_sequence([partial(self._move, end) for end in ends], self.task)
+        motion = moves.motion.replaced(phases=(self.phase.retimed(0.0, moves.motion.duration),))
+        if self.duration is not None:
+            motion = _lasting(motion, self.duration)
+        remark = f"{self.vertex} over-travels {count} times, by up to {100.0 * size:.2g} cm"
+        if short > 0.0:
+            remark += f", and may rest {100.0 * short:.2g} cm short: limits bind"
+        return require_certified(moves.replaced(motion, moves.after).with_remark(remark))
+
+    def _move(self, end: Hitch, task: StepTask) -> StepPlan:
+        """Return the plan of a straight morph, or of a rest."""
+        plan = straight_plan(task, end, self.phase)
+        factor = max(1.0, self.shortest_move / plan.motion.duration)
+        return plan.replaced(plan.motion.slowed(factor), plan.after)
+
+    def unsettled(self, error: InfeasibleError) -> StepPlan:
+        """Return the plan of a rest, where all over-travels break limits, as the error says."""
+        short = 0.5 * self.width
+        self._require_near(short)
+        broken = str(replace(error.violations[0], remedy="")).rstrip("; ")
+        remark = f"{self.vertex} may rest {100.0 * short:.2g} cm short, without room to over-travel"
+        return self.rest(f"{remark}: {broken}")
+
+    def rest(self, remark: str) -> StepPlan:
+        """Return the plan of a rest."""
+        hitch, requirements = self.task.hitch, self.task.requirements
+        motion = rest_motion(hitch, requirements, self.duration or IDLE, self.phase)
+        return self.task.plan_ending(motion, hitch).with_remark(remark)
+
+    def _require_near(self, short: float) -> None:
+        """Raise InfeasibleError for a vertex that may rest farther off [m] than its limit."""
+        limit = self.task.requirements.limits.vertex_error
+        if limit is not None and short > limit:
+            where, when = (self.vertex,), "after over-travels"
+            remedy = "give vertices room to over-travel, or use smoother cables (cable_friction)"
+            values = "vertex_error", short, limit, "max", "m", where, when, remedy
+            raise InfeasibleError([Violation(*values)])
 
 
-def _over_travel(task: StepTask, bands: Array, phase: Phase, share: float) -> StepPlan:
-    """Return the certified plan of over-travels from a hitch at rest and back to it."""
-    goal = task.hitch
-    widths = length(bands)
-    widest = int(np.argmax(widths))
-    size = share * FIRST * float(widths[widest])
-    count = min(max(1, round(size / STEP)), MAX_COUNT)
-    sizes = share * FIRST * np.linspace(1.0, 1.0 / count, count) * (-1.0) ** np.arange(count)
-    hitches = [_beyond(goal, by * bands, task.requirements) for by in sizes.tolist()]
-
-    def move(to: Hitch, task: StepTask) -> StepPlan:
-        """Return the certified plan of a straight morph."""
-        return require_certified(straight_plan(task, to, phase))
-
-    plan = plan_in_sequence([partial(move, hitch) for hitch in [*hitches, goal]], task)
-    motion = plan.motion.replaced(phases=(phase.retimed(0.0, plan.motion.duration),))
-    name = goal.team.point_names[widest]
-    remark = f"{name} over-travels {count} times, by up to {100.0 * size:.2g} cm"
-    short = 0.5 * float(widths[widest]) - size
-    if short > 0.0:
-        remark += f", and may rest {100.0 * short:.2g} cm short: limits bind"
-    return plan.replaced(motion, plan.after).with_remark(remark)
+def _lasting(motion: Motion, duration: float) -> Motion:
+    """Return the motion slowed down to a duration [s]; raise InfeasibleError for a shorter one."""
+    if duration < motion.duration:
+        remedy = f"settle: {math.ceil(motion.duration)}"
+        values = "duration", motion.duration, duration, "max", "s", (), "of over-travels", remedy
+        raise InfeasibleError([Violation(*values)])
+    return motion.slowed(duration / motion.duration)
 
 
 def _beyond(goal: Hitch, offsets: Array, requirements: Requirements) -> Hitch:

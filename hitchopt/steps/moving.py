@@ -26,7 +26,7 @@ from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.compensation import settling_plan, with_friction_feedforward
+from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action, end_of_morph
 from hitchopt.planners.rests import IDLE, check_at_rest, hover_motion, rest_motion
 from hitchopt.planners.routes import (
@@ -39,6 +39,7 @@ from hitchopt.planners.routes import (
     rolling_action_plan,
     straight_plan,
 )
+from hitchopt.planners.settling import settling_plan
 from hitchopt.planners.task import (
     RestState,
     StepPlan,
@@ -337,15 +338,15 @@ class Hold(HitchStep):
 @documented
 @dataclass(frozen=True)
 class Settle(Step):
-    """Swing the drones to remove friction hysteresis at the clasps.
+    """Remove friction hysteresis at the clasps.
 
-    Drones swing about their positions with decreasing amplitude; planned vertices do not move.
+    Vertices over-travel inward and outward, each time a little less far, and end where they are.
     """
 
     time_key: ClassVar[str] = "seconds"
     seconds: Annotated[
         float | Literal["auto"],
-        Key(AUTO_SECONDS, "Duration; auto: four swings, slower where limits require it", 5),
+        Key(AUTO_SECONDS, "Duration; auto: as far as limits allow", 15),
     ] = AUTO
 
     def resolved_for(self, team: Team) -> Self:
@@ -357,7 +358,7 @@ class Settle(Step):
         return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of drones that swing about their places."""
+        """Return the plan of vertices that over-travel about their places."""
         return settling_plan(task, self.prescribed_duration, Phase(self.name, task.index, 0.0, 0.0))
 
 

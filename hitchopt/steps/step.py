@@ -130,9 +130,8 @@ def _turn_angle(key: str, value: object) -> float:
 TURN = replace(quantity("rad", (-MAX_YAW, MAX_YAW), (-MAX_YAW, MAX_YAW)), check=_turn_angle)
 AUTO_SECONDS = either(words(AUTO), DURATION)
 SETTLE_TEXT = (
-    "Where cables slid against friction, the step ends with motions that remove its hysteresis, "
-    "added to its duration; auto: vertices that moved over-travel, or drones swing; a duration: "
-    "drones swing for it; or false"
+    "Duration of the over-travels that end the step where cables slid against friction, added to "
+    "its duration; auto: as far as limits allow; or false"
 )
 
 Seconds = Annotated[
@@ -373,7 +372,7 @@ class Step(Record, ABC):
 
     @property
     def settling(self) -> float | Literal["auto", False]:
-        """Duration of the swings at its end [s], ``auto``, or False for no settling."""
+        """Duration of the over-travels at its end [s], ``auto``, or False for none."""
         return getattr(self, "settle", False)
 
     def resolved_for(self, team: Team) -> Self:

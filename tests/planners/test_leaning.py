@@ -1,4 +1,4 @@
-"""Cables with friction: legs lean where they slide, and drones swing to settle clasps."""
+"""Cables with friction: legs lean where they slide, and vertices over-travel to settle."""
 
 from __future__ import annotations
 
@@ -13,17 +13,13 @@ import pytest
 import hitchopt as ho
 from hitchopt import verify
 from hitchopt.motion.motion import Motion
+from hitchopt.planners import settling
 from hitchopt.planners.morph.friction import (
     DISTANCE_FACTOR,
-    FIRST_SHARE,
-    LAST_SHARE,
     MAX_LEAN,
-    SWING,
-    SWINGS,
     FrictionFeedforward,
     friction_feedforward,
 )
-from hitchopt.planners.settling import STEP
 from hitchopt.steps import Step
 from hitchopt.steps.moving import (
     Adjust,
@@ -199,31 +195,19 @@ def test_motions_whose_lean_would_violate_limits_have_none() -> None:
     np.testing.assert_array_equal(plan.at(t).positions, plain.positions)
 
 
-def test_drones_swing_to_both_sides_with_decreasing_amplitude_about_fixed_vertices() -> None:
-    """Their legs balance the edges with a share of the friction that wraps at that moment."""
+def test_a_hitch_settles_by_shrinking_and_growing_less_and_less() -> None:
     plan = settled(Settle())
-    assert plan.phases[0].name == "settle"
-    assert plan.duration == pytest.approx(SWINGS * SWING, abs=0.1)  # as limits need
-    samples = plan.at(np.linspace(0.0, plan.duration, 4_001))
-    p, x, pulls = samples.vertices, samples.positions, plan.motion.pulls.at(samples.t)
-    np.testing.assert_allclose(p, np.broadcast_to(p[0], p.shape), atol=1e-9)
-    np.testing.assert_allclose(x[-1], x[0], atol=1e-9)
-    away = np.max(np.linalg.norm(x - x[:1], axis=-1), axis=0)
-    assert np.all((away > 0.04) & (away < 0.1))
-    u = unit(np.roll(p, -1, axis=1) - p)
-    legs = unit(x - np.stack([p, np.roll(p, -1, axis=1)], axis=2).reshape(x.shape))
-    force = 0.6 * (u - np.roll(u, 1, axis=1))
-    for of_q in (0, 1):
-        force += np.roll(pulls[:, of_q::2, None] * legs[:, of_q::2], of_q, axis=1)
-    assert np.max(np.abs(force)) < 1e-3 * 0.6
-    wrapped = np.stack([legs[:, ::2] * -u, legs[:, 1::2] * u], axis=2).sum(axis=-1)
-    wrapped = np.arccos(wrapped).reshape(len(x), -1)
-    expected = np.repeat(np.linspace(FIRST_SHARE, LAST_SHARE, SWINGS), 2)[1:]
-    for pull, wrap in zip(np.log(pulls / 0.6).T, wrapped.T, strict=True):
-        steps = np.diff(pull)
-        turned = 1 + np.flatnonzero(steps[1:] * steps[:-1] < 0.0)
-        shares = pull[turned] / (0.1 * wrap[turned]) * (-1.0) ** np.arange(len(turned))
-        np.testing.assert_allclose(shares, expected, rtol=0.05)  # open first, open last
+    assert [phase.name for phase in plan.phases] == ["settle"]
+    samples = plan.at(np.linspace(0.0, plan.duration, 8_001))
+    np.testing.assert_allclose(samples.vertices[-1], samples.vertices[0], atol=1e-9)
+    np.testing.assert_allclose(samples.positions[-1], samples.positions[0], atol=1e-9)
+    sides = samples.vertices - np.roll(samples.vertices, 1, axis=1)
+    perimeter = np.linalg.norm(sides, axis=-1).sum(axis=1)
+    turns = turned(perimeter - perimeter[0])
+    np.testing.assert_array_equal(np.sign(turns), -((-1.0) ** np.arange(len(turns))))
+    assert np.all(np.diff(np.abs(turns)) < 0.0)
+    resting = samples.t > plan.duration - 0.5
+    assert np.max(np.ptp(samples.vertices[resting], axis=0)) < 1e-9
 
 
 MOVES = (
@@ -239,7 +223,7 @@ MOVES = (
 def test_moves_of_cables_with_friction_end_with_settling(move: Any) -> None:
     """The settled end is the planned one, and the motion before it that of ``settle: false``.
 
-    Vertices over-travel, by moves in which no leg leans; drones swing where no vertex moved.
+    Vertices over-travel, by moves in which no leg leans.
     """
     worked, left = slid(move), slid(replace(move, settle=False))
     smooth = slid(move, friction=0.0)
@@ -251,8 +235,8 @@ def test_moves_of_cables_with_friction_end_with_settling(move: Any) -> None:
     np.testing.assert_allclose(worked.at(t).positions, left.at(t).positions, atol=1e-12)
     t = np.linspace(left.duration, worked.duration, 300)
     vertices = worked.at(t).vertices
-    assert (np.max(np.ptp(vertices, axis=0)) < 1e-9) == (move.name == "adjust")
-    assert (np.max(np.abs(worked.motion.pulls.at(t) - 0.5)) < 1e-9) == (move.name != "adjust")
+    assert np.max(np.ptp(vertices, axis=0)) > 2.0 * settling.STEP
+    np.testing.assert_allclose(worked.motion.pulls.at(t), 0.5, atol=1e-9)
     np.testing.assert_allclose(vertices[-1], vertices[0], atol=1e-9)
     assert {phase.name for phase in (*left.phases, *smooth.phases)} == {move.name}
 
@@ -269,8 +253,14 @@ def turning_points(plan: ho.Plan, way: Any) -> Any:
     way = np.array(way) / np.linalg.norm(way)
     assert np.max(np.abs(offsets @ [-way[1], way[0]])) < 1e-9
     along = offsets @ way
-    rates = np.diff(along)
-    return along[1 + np.flatnonzero(rates[1:] * rates[:-1] < 0.0)]
+    return turned(along)
+
+
+def turned(offsets: Any) -> Any:
+    """Return offsets (samples,) [m] where they turn back, except within 1 µm of zero."""
+    rates = np.diff(offsets)
+    turns = offsets[1 + np.flatnonzero(rates[1:] * rates[:-1] < 0.0)]
+    return turns[np.abs(turns) > 1e-6]
 
 
 def test_over_travels_alternate_along_the_way_and_decay_and_grow_with_friction() -> None:
@@ -281,7 +271,8 @@ def test_over_travels_alternate_along_the_way_and_decay_and_grow_with_friction()
         signs = (-1.0) ** np.arange(len(turns))
         np.testing.assert_array_equal(np.sign(turns), signs)
         sizes = np.append(np.abs(turns), 0.0)
-        np.testing.assert_allclose(np.diff(sizes), -STEP, atol=0.5 * STEP)
+        assert np.all(np.diff(sizes) < 0.0)
+        assert 0.5 * settling.STEP < sizes[0] / len(turns) < settling.STEP + 1e-6
         firsts.append(sizes[0])
         assert f"over-travels {len(turns)} times" in plan.phases[-1].remark
         assert "short" not in plan.phases[-1].remark
@@ -325,29 +316,15 @@ def test_settling_follows_where_cables_slid_and_stop() -> None:
         slid(replace(blended[0], settle=5.0), blended[1])
 
 
-def test_a_mirrored_hitch_settles_in_the_mirror() -> None:
-    """Drones q and r of a cable exchange their parts, as do both sides of the outline."""
-    away = settled(Settle())
-    mirrored = ho.ConvexPolygon((WORKED.vertices * [-1.0, 1.0])[[0, 2, 1]])
-    team = ho.Team(3, 2.4, tension=0.6, cable_friction=0.1)
-    other = planned((Settle(),), ho.HitchStart(mirrored, 1.2), team, {})
-    t = np.linspace(0.0, away.duration, 200)
-    x = away.at(t).positions * [-1.0, 1.0, 1.0]
-    np.testing.assert_allclose(other.at(t).positions, x[:, [5, 4, 3, 2, 1, 0]], atol=1e-7)
-
-
 def form(settle: Any = "auto") -> Step:
     return Form(WORKED, 1.2, settle=settle)
 
 
-@pytest.mark.slow
 def test_forming_with_friction_ends_with_settling() -> None:
-    worked, left, given = (settled(form(each), tied=False) for each in ("auto", False, 20.0))
+    worked, left, given = (settled(form(each), tied=False) for each in ("auto", False, 30.0))
     smooth = settled(form(), tied=False, friction=0.0)
     assert worked.phases[-1].name == "settle"
-    # Swings that are scaled up to half of the friction take a little longer
-    assert worked.duration - left.duration == pytest.approx(SWINGS * SWING, rel=0.02)
-    assert given.duration == pytest.approx(left.duration + 20.0)
+    assert given.duration == pytest.approx(left.duration + 30.0)
     assert "settle" not in {phase.name for phase in (*left.phases, *smooth.phases)}
     ends = [plan.at(plan.duration).positions for plan in (worked, left, given)]
     np.testing.assert_allclose(ends, [ends[1]] * 3, atol=1e-9)
@@ -355,29 +332,31 @@ def test_forming_with_friction_ends_with_settling() -> None:
 
 @pytest.mark.slow
 def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None:
-    plan = settled(Settle(18.0), density=0.01)
-    assert plan.duration == 18.0
+    plan = settled(Settle(25.0), density=0.01)
+    assert plan.duration == pytest.approx(25.0)
     plan.save(tmp_path)
     assert verify.main([str(tmp_path)]) == 0
 
 
-@pytest.mark.slow
-def test_limits_make_swings_smaller_or_slower() -> None:
-    limits = ho.Limits(speed=0.25)
-    free, slow = settled(Settle()), settled(Settle(), limits=limits)
-    quick = settled(Settle(5.0), limits=limits)
-    assert 5.6 < slow.duration < 8.4
-    plans = (free, slow, quick)
-    assert ["legs bind" in p.phases[0].remark for p in plans] == [False, False, True]
-    times = [np.linspace(0.0, plan.duration, 999) for plan in plans]
-    paths = [plan.at(t).positions for plan, t in zip(plans, times, strict=True)]
-    widest = [np.max(np.ptp(path, axis=0)) for path in paths]
-    assert widest[1] == pytest.approx(widest[0], rel=1e-3)
-    assert widest[2] < 0.9 * widest[0]
-    with pytest.raises(ho.InfeasibleError, match="speed"):
-        settled(Settle(1.0), limits=limits)
-    tight = settled(form(), tied=False, limits=ho.Limits(tilt=np.radians(25.2)))
-    assert "friction hysteresis is not removed: limits bind" in tight.phases[-1].remark
+def test_settling_takes_the_time_that_limits_and_over_travels_need() -> None:
+    free, slow = settled(Settle()), settled(Settle(), limits=ho.Limits(speed=0.1))
+    assert slow.duration > free.duration
+    with pytest.raises(ho.InfeasibleError, match=r"duration: .* settle: \d+"):
+        settled(Settle(1.0))
+
+
+def test_vertices_without_room_to_over_travel_are_named_or_refused() -> None:
+    """Walls that drones just reach; without over-travels, friction holds half of its band."""
+    still = slid(Hold(1.0)).at(0.0).positions
+    walls = ho.Arena(still.min(axis=0) - 0.005, still.max(axis=0) + 0.005)
+    tight = slid(Settle(), arena=walls)
+    remark = re.search(r"p\d may rest (.*) cm short, .*: arena", tight.phases[0].remark)
+    assert remark is not None
+    short = 0.01 * float(remark[1])
+    enough, tighter = ho.Limits(vertex_error=short + 0.2), ho.Limits(vertex_error=0.9 * short)
+    assert slid(Settle(), arena=walls, limits=enough).phases[0].remark == tight.phases[0].remark
+    with pytest.raises(ho.InfeasibleError, match=r"vertex_error: .* after over-travels"):
+        slid(Settle(), arena=walls, limits=tighter)
 
 
 def test_settling_needs_friction() -> None:

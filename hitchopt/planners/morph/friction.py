@@ -33,7 +33,7 @@ from hitchopt.planners.path import cable_along
 from hitchopt.planners.timing.timed_motion import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import divided, on_breaks
-from hitchopt.trajectory.splines import bspline, interpolated
+from hitchopt.trajectory.splines import bspline
 from hitchopt.values import Array
 
 MIN_LEAN = math.radians(0.5)
@@ -82,63 +82,6 @@ def feedforward_matters(motion: Motion) -> bool:
     slip = expected_slip(motion, 1.0)
     feedforward = _feedforward_of(motion, slip)
     return slip is not None and (feedforward is None or feedforward.lean >= MIN_LEAN)
-
-
-SWINGS = 4
-"""Number of swings that settle the clasps."""
-
-SWING = 1.25
-"""[s] Duration of a swing."""
-
-FIRST_SHARE = 0.65
-"""Share of the friction of one cable in the first swing. Both cables of a clasp slide
-simultaneously, for which half to 0.7 suffices. With 0.75, simulated vertices jump by up to 12 cm
-while legs turn, and tensions peak; with 0.65 they move by up to 6 cm."""
-
-LAST_SHARE = 0.5
-"""Fraction of the friction of one cable in the last swing.
-
-Swings below half of it slide nothing, so all of them are above. With the firmware in the loop, two
-of four swings down to 0.35 left vertices of a morphed triangle 1.4 to 2.1 cm off, and simulated
-controllers 0.7 to 0.9 cm; with 0.5 these are 0.9 to 1.3 and 1.0 to 1.2 cm, in the same directions:
-where a hitch rests no longer depends on how it came there."""
-
-
-def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, float] | None:
-    """Return the hitch with swings that remove friction hysteresis, and the smallest share used.
-
-    Legs close and open alternately, as mobilized friction ``P = T e^{± μ θ}`` requires to hold the
-    vertices, with decreasing amplitude as in demagnetization. Vertices, leg lengths and edge
-    tensions are constant. The result is None if no leg can lean by MIN_LEAN; otherwise it includes
-    the smallest fraction of the swing that the legs of a clasp can reach.
-
-    Open legs wrap more, and hold vertices more stiffly, than closed ones. Both sides therefore have
-    the same share of their own friction, and every swing ends with open legs: with equal ratios of
-    tensions, vertices slide outward when legs close, and not back when they open.
-
-    Parameters
-    ----------
-    rest: the hitch at rest, for the duration of the swings.
-    share: of the swings, in (0, 1].
-    """
-    start = float(rest.drones.breaks[0])
-    count = 2 * SWINGS
-    times = start + rest.duration * np.linspace(0.0, 1.0, count + 1)
-    clasps = _ForceTriangles.of(rest, times[:1])
-    decay = np.repeat(np.linspace(FIRST_SHARE, LAST_SHARE, SWINGS), 2)[1:]
-    decay *= (-1.0) ** np.arange(count - 1)  # open, closed, open, …
-    friction = decay[:, None, None] * min(rest.team.cable_friction, MAX_FRICTION)
-    slips = friction * clasps.wrap_angles
-    for _ in range(WRAP_ITERATIONS):  # open legs wrap more, closed ones less
-        angles = np.nan_to_num(clasps.angles(slips))
-        slips = friction * (np.nan_to_num(clasps.leg_angles) + angles)
-    shares = share * np.min(clasps.feasible_share(slips), axis=0)
-    extremes = np.zeros((count + 1, *slips.shape[1:]))
-    extremes[1:-1] = shares[:, None] * slips
-    swings = _feedforward_of(rest, interpolated(times, extremes, zero_orders=(1, 2)))
-    if swings is None or swings.lean < MIN_LEAN:
-        return None
-    return swings, float(np.min(shares))
 
 
 def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> FrictionFeedforward | None:
@@ -247,9 +190,6 @@ larger ones overflow."""
 
 MIN_DISTANCE = 1e-3
 """[m] Distance of drones to the other leg of their clasp if they have no limit."""
-
-WRAP_ITERATIONS = 8
-"""Fixed-point iterations for the wrap angle of legs with the friction that it causes."""
 
 BISECTIONS = 20
 """Number of bisections for the largest feasible fraction of friction."""
