@@ -507,7 +507,18 @@ def fitted_carry(seed: int, *, overloaded: bool = False) -> dict[str, Any]:
             continue
         stated = fitted.holding.capacity("rest" if rests else "grip").mass
         share = OVERLOAD if overloaded else float(rng.uniform(*FITTED_SHARE))
-        if stated >= LEAST_MASS and fitted.enclosing is not None:
+        if stated < LEAST_MASS or fitted.enclosing is None:
+            continue
+        around = fitted.enclosing.vertices * float(rng.uniform(1.0, 1.2))
+        hitch = {"polygon": np.round(around, 3).tolist(), "altitude": CARRY_ALTITUDE}
+        team = {
+            "robots": n,
+            "cable_length": fitted.holding.cable_length,
+            "tension": values["tension"],
+            "cable_density": values["cable_density"],
+        }
+        team |= {} if rests else {"cable_friction": fitted.holding.task.clasp_friction}
+        if is_certified(team, {"hitch": hitch}, {"limits": LIMITS}):
             break
     sections = {"circle": outline} if isinstance(outline, float) else {"outline": outline}
     away = rng.uniform(-math.pi, math.pi, 2)
@@ -523,18 +534,14 @@ def fitted_carry(seed: int, *, overloaded: bool = False) -> dict[str, Any]:
         thing |= {"circle": values["stem"], "to": round(values["height"] + 0.05, 3), "rim": rim}
     else:
         thing |= {**sections, "to": values["height"]}
-    around = fitted.enclosing.vertices * float(rng.uniform(1.0, 1.2))
-    cable = {"cable_length": fitted.holding.cable_length, "tension": values["tension"]}
-    cable |= {"cable_density": values["cable_density"]}
-    cable |= {} if rests else {"cable_friction": fitted.holding.task.clasp_friction}
     turn = round(float(rng.uniform(-90.0, 90.0)), 1)
     carry = {"object": "thing", "to": [*_rounded(to), 0.0], "yaw_deg": turn}
     return {
         "title": f"Fitted carry, n = {n}, seed {seed}",
-        "team": {"robots": n, **cable},
+        "team": team,
         "limits": LIMITS,
         "objects": {"thing": thing},
-        "start": {"hitch": {"polygon": np.round(around, 3).tolist(), "altitude": CARRY_ALTITUDE}},
+        "start": {"hitch": hitch},
         "mission": [{"transport_object": carry}],
     }
 

@@ -81,11 +81,8 @@ BISECTIONS = 6
 SMALLEST_SHARE = 0.7
 """Smallest share of a mass that does not fit that is tried next but one."""
 
-ASCENTS = 3
-"""Maximum number of searches by linear programs for a hold that bears more."""
-
-MIN_ASCENT = 1.03
-"""Smallest gain of mass of such a search that another follows, as a factor."""
+ASCENTS = (1.25, 1.25, 1.1)
+"""Masses with which linear programs search for a hold that bears more, over the largest so far."""
 
 MAX_LOAD_RATIO = 2.5
 """Weight over the sum of all tensions that no hold bears: two vertical legs per cable bear 2."""
@@ -225,34 +222,31 @@ class HoldJudge:
         for start, split in product(nearest, EVEN_SPLITS):
             yield replace(start, fractions=np.full(n, split))
 
-    def _found(self) -> Iterator[RestHold]:
-        """Yield the holds below a rim that linear programs find from its polygons."""
-        body, n = self.planner.body, self.team.robots
-        if body.rim is not None:
-            for clasps in self.planner.state.polygons.below_rim:
-                legs = np.full(n, 0.5), np.zeros(n)
-                start = RestHold(self.team, body, clasps, body.rim.height, *legs)
-                yield from self._search(start, self.planner.body.mass).holds()
-
     def _search(self, start: RestHold, mass: float) -> HoldSearch:
         """Return the search by linear programs from a hold's polygon, of a mass [kg]."""
-        planner = self.planner
-        return HoldSearch(
-            replace(start, body=with_fields(planner.body, mass=mass)),
-            planner.state.polygons.around,
-            planner.state.tension,
-            self.closing,
-            planner.gap,
-        )
+        planner, around = self.planner, self.around
+        heavy = replace(start, body=with_fields(planner.body, mass=mass))
+        polygon = planner.state.polygons.around
+        opened = replace(heavy, polygon=polygon, fractions=around.fractions, roll=around.roll)
+        return HoldSearch(heavy, opened, planner.state.tension, self.closing, planner.gap)
 
     def closings(self) -> Iterator[Closing]:
-        """Yield the closings of all holds.
+        """Yield the closings of all holds: by polygons, by linear programs, and the heaviest.
 
-        Those that are found by linear programs have other legs, which change around the object.
+        Those that are found by linear programs have other legs, which change first.
         """
         yield from ((hold,) for hold in self._by_polygons())
-        for hold in self._found():
-            yield replace(hold, polygon=self.planner.state.polygons.around), hold
+        body, n = self.planner.body, self.team.robots
+        if body.rim is None:
+            return
+        for clasps in self.planner.state.polygons.below_rim:
+            legs = np.full(n, 0.5), np.zeros(n)
+            start = RestHold(self.team, body, clasps, body.rim.height, *legs)
+            search = self._search(start, body.mass)
+            yield from ((search.changed_legs(hold), hold) for hold in search.holds())
+        best = self._best
+        if isinstance(best.hold, RestHold) and best.mass >= body.mass:
+            yield self._search(best.hold, body.mass).changed_legs(best.hold), best.hold
 
     def violation(self, hold: HoldingHitch) -> InfeasibleError | None:
         """Return what a hold breaks at rest, or as it is taken; None if it holds the object."""
@@ -290,13 +284,12 @@ class HoldJudge:
     def _best(self) -> Rated:
         """The hold that bears most at rest, with those that linear programs find from it."""
         best = self._rated[0]
-        for _ in range(ASCENTS):
+        for factor in ASCENTS:
             if not isinstance(best.hold, RestHold):
                 break
-            better = self._search(best.hold, max(best.mass, LIGHT)).improved(best.hold)
-            if better is None or (mass := self._borne_by(better)) < MIN_ASCENT * best.mass:
-                break
-            best = Rated(mass, better)
+            better = self._search(best.hold, factor * max(best.mass, LIGHT)).improved(best.hold)
+            if better is not None and (mass := self._borne_by(better)) > best.mass:
+                best = Rated(mass, better)
         return best
 
     def _borne_by(self, hold: HoldingHitch) -> float:

@@ -33,7 +33,8 @@ def search_of(robots: int, cable: float) -> HoldSearch:
     polygons = rest_polygons("thing", BODY, robots, 0.08)[0]
     level = np.zeros(robots)
     start = RestHold(team, BODY, polygons.clasps, 0.4, np.full(robots, 0.5), level)
-    return HoldSearch(start, polygons.around, team.tension, Requirements(), 0.045)
+    around = replace(start, polygon=polygons.around)
+    return HoldSearch(start, around, team.tension, Requirements(), 0.045)
 
 
 def guess(search: HoldSearch, split: float) -> np.ndarray:
@@ -82,6 +83,25 @@ def test_no_hold_is_found_of_a_weight_that_tensions_do_not_bear() -> None:
     search = replace(search, start=replace(search.start, body=heavy))
     assert np.all(search.margins(guess(search, 0.35)) == -np.inf)
     assert not list(search.holds())
+
+
+def test_short_cables_hold_with_legs_that_change_while_they_close() -> None:
+    """Around the object such legs are shorter than the limit."""
+    rim = Rim(Section(radius=0.23), 0.38)
+    body = ho.SolidObject(Section(radius=0.061), 0.0, 0.43, mass=0.6, rim=rim)
+    team = ho.Team(5, 0.86, cable_density=0.003, tension=1.11)
+    limits = ho.Limits(tilt_deg=60)
+    polygons = rest_polygons("thing", body, 5, 0.08)[0]
+    spread = ho.Hitch.spread(team, polygons.around, 1.0, limits=limits)
+    legs = spread.fractions, spread.roll
+    around = RestHold(team, body, polygons.around, 0.38, *legs)
+    start = replace(around, polygon=polygons.below_rim[0])
+    search = HoldSearch(start, around, team.tension, Requirements(limits), 0.045)
+    hold = next(search.holds())
+    at_once = replace(hold, polygon=around.polygon).at_rest(team.tension, 0.0)["legs"]
+    assert np.min(at_once) < limits.leg
+    changed = search.changed_legs(hold).at_rest(team.tension, 0.0)["legs"]
+    assert np.min(changed) > limits.leg
 
 
 def test_holds_keep_clear_of_other_objects() -> None:

@@ -73,8 +73,12 @@ MIN_EDGE = 0.05
 MAX_ROLL = math.radians(60.0)
 """[rad] Largest roll."""
 
+LEGS_CHANGED = (0.0, 0.6)
+"""Places on the way from around the object, 0, to the hold, 1, at which legs have its splits and
+rolls. Around it, where edges are long, short cables have legs that are too short for most."""
+
 CLOSURES = (0.0, 0.3, 0.6, 0.8)
-"""Places on the way from around the object to the hold, 1, at which distances are compared."""
+"""Places on that way at which distances are compared."""
 
 LEG_SAMPLES = np.linspace(0.25, 1.0, 4)[:, None, None]
 """Places on a leg, as shares of its length, whose distances to other objects are compared."""
@@ -98,8 +102,8 @@ class HoldSearch:
     start: RestHold
     """A hold of the team, from whose clasps searches start."""
 
-    around: Array
-    """(n, 2) [m], clasps around the object, from which those with a hold's legs close evenly."""
+    around: RestHold
+    """The hitch around the object, from which clasps and then legs close evenly to a hold."""
 
     tension: Array
     """(n,) [N], of cables while they hold the object."""
@@ -109,6 +113,9 @@ class HoldSearch:
 
     gap: float
     """Depth below the rim at which legs close [m]."""
+
+    legs_changed: float = LEGS_CHANGED[0]
+    """Place of LEGS_CHANGED at which legs have changed to the hold's."""
 
     def holds(self) -> Iterator[RestHold]:
         """Yield holds that keep all margins at rest, from several slack splits."""
@@ -131,8 +138,32 @@ class HoldSearch:
         """Return the hold that a search reaches from another; None if it breaks a limit."""
         return self.found(np.column_stack([hold.polygon, hold.fractions, hold.roll]))
 
+    def changing_legs(self, hold: RestHold) -> HoldSearch:
+        """Return the search whose legs change where a hold's have the largest margin."""
+        searches = [replace(self, legs_changed=place) for place in LEGS_CHANGED]
+        return max(searches, key=lambda search: search.closing_margin(hold))
+
+    def closing_margin(self, hold: RestHold) -> float:
+        """Return the smallest margin on the way from around the object to a hold."""
+        smallest = math.inf
+        for closure in CLOSURES:
+            curves = _at_rest(self.closing(hold, closure), hold.team.tension, 0.0)
+            if curves is None:
+                return -math.inf
+            smallest = min(smallest, *(float(np.min(each)) for each in self._distances(curves)))
+        return smallest
+
+    def changed_legs(self, hold: RestHold) -> RestHold:
+        """Return the first hitch on the way from around the object that has a hold's legs."""
+        search = self.changing_legs(hold)
+        return search.closing(hold, search.legs_changed)
+
     def found(self, guess: Array) -> RestHold | None:
         """Return the hold that a search reaches from a guess (n, 4); None if it breaks a limit."""
+        return self.changing_legs(self._hold(guess)).reached(guess)
+
+    def reached(self, guess: Array) -> RestHold | None:
+        """Return ``found``, with legs that change at this search's place."""
         margins, gradients, region = self.margins(guess), None, 1.0
         for _ in range(MAX_PROGRAMS):
             smallest = float(np.min(margins))
@@ -176,7 +207,7 @@ class HoldSearch:
         hold = self._hold(variables)
         margins = self._of_clasps(hold)
         for closure in CLOSURES:
-            curves = _at_rest(self._closing(hold, closure), hold.team.tension, 0.0)
+            curves = _at_rest(self.closing(hold, closure), hold.team.tension, 0.0)
             if curves is None:
                 return unbalanced
             margins += self._distances(curves)
@@ -189,10 +220,16 @@ class HoldSearch:
         lead = variables.shape[:-2]
         return np.concatenate([np.reshape(each, (*lead, -1)) for each in margins], axis=-1)
 
-    def _closing(self, hold: RestHold, closure: float) -> RestHold:
-        """Return the hitch with a hold's legs between that around the object (0) and it (1)."""
+    def closing(self, hold: RestHold, closure: float) -> RestHold:
+        """Return the hitch at a place between that around the object, 0, and a hold, 1."""
         around = self.around
-        return replace(hold, polygon=around + closure * (hold.polygon - around))
+        changed = 1.0 if closure >= self.legs_changed else closure / self.legs_changed
+        return replace(
+            hold,
+            polygon=around.polygon + closure * (hold.polygon - around.polygon),
+            fractions=around.fractions + changed * (hold.fractions - around.fractions),
+            roll=around.roll + changed * (hold.roll - around.roll),
+        )
 
     def _of_clasps(self, hold: RestHold) -> list[Array]:
         """Return the margins (…, n) of clasps and edges below the rim."""
