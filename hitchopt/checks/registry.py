@@ -283,13 +283,17 @@ def below_ground(flight: Flight) -> Check | None:
 
 
 def _between_teams(rule: CheckRule, flight: Flight) -> Check | None:
-    """Return the check of a rule between teams; for continuity, that of rests besides others."""
+    """Return the check of a rule between teams; for continuity, that of rests at their ends.
+
+    A flight's own teams may begin it in motion, as after a loss.
+    """
     if rule is not CONTINUITY:
         return check_across(rule, flight)
     ends = [flown.motion.drones.breaks[[0, -1]].tolist() for flown in flight.all_teams]
     first = min(begin for begin, _ in ends)
-    last = max(end for _, end in ends)
-    return rest_continuity(flight.all_teams, first, last)
+    last = max(end for _, end in ends) + 1.0
+    own = rest_continuity(flight.teams, first, last)
+    return worst_of([own, rest_continuity(flight.others, first - 1.0, last)])
 
 
 def _radius_between_teams(

@@ -50,7 +50,7 @@ ERRING = frozenset({*DISTANCES, "arena", "ground", "legs", "span"})
 def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
     """Check jumps of curves at joints of pieces, as sums over time, and jumps of thrusts and pulls.
 
-    Plans ``rest`` at the start, or the end, from which on others fly before, or after.
+    They ``rest`` at the start (0) or the end (-1) of the plan.
     """
     bodies, both = [body.name for body in p.bodies], (p.taut[1:] & p.taut[:-1])[:, None]
 
@@ -265,10 +265,10 @@ def proofs(
     rows = [row for p in exact for row in (*requested(p), *plan_rows(p))]
     if len(own) + len(others) > 1:
         every = [*own, *others]
-        first, last = min(p.breaks[0] for p in every), max(p.breaks[-1] for p in every)
+        first = min(p.breaks[0] for p in every)  # teams may begin a flight in motion
+        begins = [p for p in own if p.breaks[0] <= first + POS_TOL]
         for p in every:
-            earlier, later = p.breaks[0] > first + POS_TOL, p.breaks[-1] < last - POS_TOL
-            ends = [0] * bool(earlier) + [-1] * bool(later)
+            ends = (-1,) if p in begins else (0, -1)
             rows += (row for row in jumps(p, ends) if row.name == "continuity")
     rows += [row for p in own for row in losses(p, stated)]
     rows += between_teams(exact, others, (0.0, 0.0))
