@@ -502,12 +502,11 @@ class Problem(ByValue):
 
     def _prisms_to_objects(self) -> None:
         """Replace the prisms of ``keep_out`` by fixed objects."""
-        for k, prism in enumerate(self.keep_out):
-            name = f"prism_{k}"
-            if name in self.objects:
-                bound = f"another name than that of keep_out[{k}]"
-                raise InputError(f"objects.{name}", name, bound, "rename the object")
-            self.objects[name] = prism.as_object()
+        prisms = {f"prism_{k}": prism.as_object() for k, prism in enumerate(self.keep_out)}
+        for name in prisms.keys() & self.objects.keys():
+            bound = "another name than that of a prism of keep_out"
+            raise InputError(f"objects.{name}", name, bound, "rename the object")
+        object.__setattr__(self, "objects", {**self.objects, **prisms})
         object.__setattr__(self, "keep_out", ())
 
     def _requirements(self, team: Team, objects: Mapping[str, SolidObject]) -> Requirements:

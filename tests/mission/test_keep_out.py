@@ -83,5 +83,5 @@ def test_objects_cannot_have_the_names_of_prisms() -> None:
     body = ho.SolidObject(ho.Section(OUTLINE), fixed=True)
     prism = ho.Prism(OUTLINE, 0.0, 1.0)
     problem = parse_problem(PROBLEM)
-    with pytest.raises(ho.InputError, match=r"prism_0.: must be another name .* keep_out\[0\]"):
+    with pytest.raises(ho.InputError, match=r"prism_0.: must be another name .* of keep_out"):
         replace(problem, objects={"prism_0": body}, keep_out=(prism,))
