@@ -1,24 +1,24 @@
-"""Certified plans of morphs along routes: straight, optimised, or through several hitches."""
+"""Certified plans of morphs and actions along routes: straight, on detours, or optimised."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
 from hitchopt.checks.violations import infeasible_error, named_checks
-from hitchopt.errors import HitchoptError, InfeasibleError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.candidates import Candidate, Effort, first_certified, first_feasible
-from hitchopt.planners.compensation import compensated, with_friction_feedforward
+from hitchopt.planners.compensation import compensated
 from hitchopt.planners.rests import IDLE, check_at_rest, rest_motion
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, FlownAction
     from hitchopt.planners.morph.detours import Translatable
     from hitchopt.planners.optimise.cost import FlightCost
+    from hitchopt.planners.optimise.knots import KnotPath
     from hitchopt.planners.path import Path
     from hitchopt.trajectory import PiecewisePolynomial
 
@@ -184,151 +185,17 @@ def plan_like(
 MAX_ROLLING = 4
 """Maximum number of paths with legs that roll that are certified for one flight."""
 
-MAX_ROLLING_RATIO = 1.05
-"""Largest duration of blended steps whose legs roll, over that of the steps with stops."""
-
-BLEND_SHAPES = (2, 6, 14)
-"""Numbers of shapes of each step's own route through which a flight without stops is led."""
-
-
-class PassedStep(NamedTuple):
-    """A step of a flight without a stop."""
-
-    name: str
-    """Name of its phase."""
-
-    hitches: Callable[[int], list[Hitch]]
-    """Returns hitches that the flight passes in the step: about a number of them, and the end."""
-
-    duration: float | None
-    """Least duration of its share of the flight [s], or None."""
-
-
-def blended_plan(
-    task: StepTask,
-    steps: Sequence[PassedStep],
-    stopped: Callable[[], Sequence[StepPlan]],
-    *,
-    free_legs: bool = False,
-) -> StepPlan:
-    """Return the plan through the hitches of steps, without a stop in between.
-
-    One path leads through all of them and is timed as a whole; the phase of each step, with its
-    name, ends as the path passes its last hitch. The first step is that of the task. The whole
-    flight is slowed down until no step is shorter than its duration. Where that path is infeasible,
-    others lead through shapes of the routes on which the steps stop; then legs roll on these paths.
-
-    Parameters
-    ----------
-    stopped: returns the certified plans of the steps that stop, or raises InfeasibleError.
-    free_legs: whether the hitches between the steps may have other legs and roll.
-    """
-
-    def through_own() -> StepPlan:
-        """Return the plan through the steps' own hitches alone."""
-        return through([step.hitches(0) for step in steps])
-
-    def along(routes: Sequence[StepPlan], count: int, *, rolls: bool) -> StepPlan:
-        """Return the plan through a number of shapes of each route, and its end."""
-        hitches = list[list[Hitch]]()
-        for step, route in zip(steps, routes, strict=True):
-            if route.path is None:
-                hitches.append(step.hitches(count))
-            else:
-                hitches.append([*hitches_along(route.path, count), route.after.tied])
-        plan = through(hitches, rolls=rolls)
-        with_stops = sum(route.motion.duration for route in routes)
-        if rolls and plan.motion.duration > MAX_ROLLING_RATIO * with_stops:
-            longest = MAX_ROLLING_RATIO * with_stops
-            remedy = "stop between the steps"
-            raise InfeasibleError(
-                [Violation("duration", plan.motion.duration, longest, "max", "s", (), "", remedy)]
-            )
-        return plan
-
-    def through(hitches: Sequence[Sequence[Hitch]], *, rolls: bool = False) -> StepPlan:
-        """Return the certified plan through the hitches of each step, the last one its end."""
-        from hitchopt.planners.morph.legs import largest_roll, rolling_paths
-        from hitchopt.planners.morph.morph import BlendedMorph
-
-        inner = [hitch for each in hitches for hitch in each]
-        morph = BlendedMorph([task.hitch, *inner], task.requirements)
-        last = np.cumsum([len(each) for each in hitches])[:-1] - 1
-
-        def along(path: Path) -> StepPlan:
-            """Return the plan along a path."""
-            motion, times_within = morph.timed(path)
-            times = [0.0, *times_within[last].tolist(), motion.duration]
-            remarks = ["continues without a stop"] * (len(steps) - 1) + [""]
-            phases = tuple(
-                Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
-                for j, step in enumerate(steps)
-            )
-            durations = np.array([step.duration or 0.0 for step in steps])
-            slowing = max(1.0, float(np.max(durations / np.diff(times))))
-            slowed = motion.replaced(phases=phases).slowed(slowing)
-            plan = task.plan_ending(slowed, inner[-1])
-            return with_friction_feedforward(plan, timed=False)
-
-        path = morph.problem
-        if not rolls:
-            return past_obstacles(task, along(path), path, along)
-
-        def rolling(path: Path) -> StepPlan:
-            """Return the certified plan along a path with legs that roll."""
-            plan = require_certified(along(path))
-            roll = math.degrees(largest_roll(path))
-            return plan.with_remark(f"legs roll by up to {roll:.0f}° on the way")
-
-        paths = rolling_paths(path, task.requirements)[:MAX_ROLLING] or [path]
-        planners = [Candidate("rolling path", partial(rolling, path)) for path in paths]
-        return first_certified(planners, task.effort, task.progress)
-
-    def candidates() -> Iterator[Candidate[StepPlan]]:
-        """Yield the paths; raise InfeasibleError if a step that stops is infeasible itself."""
-        yield Candidate("path through the ends", through_own)
-        routes = stopped()
-        for rolls in (False, True) if free_legs else (False,):
-            for count in BLEND_SHAPES:
-                planner = partial(along, routes, count, rolls=rolls)
-                yield Candidate("blended path", planner)
-
-    return first_certified(candidates(), task.effort, task.progress)
-
-
-def hitches_along(path: Path, count: int) -> list[Hitch]:
-    """Return hitches at ``count`` evenly spaced points within a path at one altitude."""
-    s = np.arange(1, count + 1) / (count + 1)
-    shapes = path.shapes(s)
-    altitudes = path.vertices.at(s)[:, 0, 2].tolist()
-    rolls = np.zeros(count) if shapes.roll is None else shapes.roll
-    return [
-        Hitch(path.team, polygon, altitude, legs[:, 0], roll)
-        for polygon, altitude, legs, roll in zip(
-            shapes.polygons, altitudes, shapes.legs, rolls, strict=True
-        )
-    ]
-
 
 def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
     """Return the plan of a morph to a hitch at any altitude, on a straight route or a faster one.
 
     ``phase`` has the name and the index of the step. Raises InfeasibleError if no route was found.
     """
-
-    def straight_or_faster() -> StepPlan:
-        """Return the plan along the straight route, or a faster one if that is slow."""
-        direct = straight_plan(task, end, phase)
-        along = partial(plan_along, task, end=end, phase=phase)
-        own = past_obstacles(task, direct, direct.path, along)
-        if not task.optimiser or own.path is None or not is_slow(own, task.hitch, end):
-            return own
-        faster = partial(optimised_plan, task, end, phase, straight=own.path, own=own)
-        return first_feasible([Candidate(FASTER_ROUTE, faster)], own)
-
-    routes = [Candidate(OWN_ROUTE, straight_or_faster)]
+    straight = partial(straight_plan, task, end, phase)
+    search = RouteSearch(task, end, phase, straight, replaces_slow=True)
+    routes = [Candidate(OWN_ROUTE, search.own_or_faster_plan)]
     if task.optimiser:
-        routes.append(Candidate(OPTIMISED_ROUTE, partial(optimised_plan, task, end, phase)))
+        routes.append(Candidate(OPTIMISED_ROUTE, search.optimised_plan))
     return first_certified(routes, task.effort, task.progress)
 
 
@@ -374,12 +241,12 @@ class RouteSearch:
         is_requested = self._requests_optimiser()
         if is_requested:
             yield Candidate(OPTIMISED_ROUTE, self._requested_plan)
-        yield Candidate(OWN_ROUTE, self._own_plan if is_requested else self._own_or_faster_plan)
+        yield Candidate(OWN_ROUTE, self._own_plan if is_requested else self.own_or_faster_plan)
         when = f"at the end of step {self.phase.step} ({self.phase.name})"
         for hitch in (task.hitch, self.end):
             check_at_rest(hitch, task.requirements, when)
         if task.optimiser and not is_requested:
-            yield Candidate(OPTIMISED_ROUTE, self._optimised_plan)
+            yield Candidate(OPTIMISED_ROUTE, self.optimised_plan)
 
     def _requests_optimiser(self) -> bool:
         """Return whether the step requests an optimised route."""
@@ -397,7 +264,7 @@ class RouteSearch:
         straight = Candidate(
             "straight lines", partial(straight_path, *ends, self.task.requirements)
         )
-        return self._optimised_plan(first_feasible([straight], None))
+        return self.optimised_plan(first_feasible([straight], None))
 
     def _own_plan(self) -> StepPlan:
         """Return the certified plan along the step's own route, if need be around obstacles."""
@@ -406,7 +273,7 @@ class RouteSearch:
         along = partial(plan_along, self.task, end=self.end, phase=phase, duration=self.duration)
         return past_obstacles(self.task, own, own.path, along)
 
-    def _own_or_faster_plan(self) -> StepPlan:
+    def own_or_faster_plan(self) -> StepPlan:
         """Return the plan along the step's own route, or a faster one if it looks for one."""
         own = self._own_plan()
         searches = self.replaces_slow and self.task.optimiser
@@ -414,26 +281,24 @@ class RouteSearch:
             return own
         if not is_slow(own, self.task.hitch, self.end):
             return own
-        faster = Candidate(FASTER_ROUTE, partial(self._optimised_plan, own.path, own))
+        faster = Candidate(FASTER_ROUTE, partial(self.optimised_plan, own.path, own))
         return first_feasible([faster], own)
 
-    def _optimised_plan(
-        self, straight: Path | None = None, own: StepPlan | None = None
-    ) -> StepPlan:
+    def optimised_plan(self, straight: Path | None = None, own: StepPlan | None = None) -> StepPlan:
         """Return the optimised plan.
 
         ``straight`` is the path along straight lines and ``own`` the plan along it, if known.
         """
-        return optimised_plan(
+        return OptimisedRoute(
             self.task,
             self.end,
             self.phase,
             self.duration,
-            straight=straight,
-            own=own,
-            allow_slides=self.allow_slides,
-            cost=self.cost,
-        )
+            straight,
+            own,
+            self.allow_slides,
+            self.cost,
+        ).plan()
 
 
 def action_plan(
@@ -517,107 +382,146 @@ def _further_drones(names: Sequence[str], verb: str, reason: str) -> str:
     return f"{', '.join(names)} {verb}{ending} as well: {reason}"
 
 
-def optimised_plan(
-    task: StepTask,
-    end: Hitch,
-    phase: Phase,
-    duration: float | None = None,
-    *,
-    straight: Path | None = None,
-    own: StepPlan | None = None,
-    allow_slides: bool = False,
-    cost: CostFunction | None = None,
-) -> StepPlan:
-    """Return the fastest plan that the optimiser finds to a hitch, at the same altitude or not.
+@dataclass(frozen=True, eq=False)
+class OptimisedRoute:
+    """A route that the optimiser finds to a hitch, at the same altitude or not."""
 
-    Raises InfeasibleError if the plan takes longer than ``duration`` [s].
+    task: StepTask
+    """The task of the step."""
 
-    Parameters
-    ----------
-    phase: with the step's name, index and range of tensions.
-    duration: prescribed duration [s], or None.
-    straight: the step's own path, which is a candidate if it is feasible; None if it is not.
-    own: certified plan along this path, if there is one.
-    allow_slides: also try legs that lead and lag.
-    cost: minimised together with the duration.
-    """
-    from hitchopt.planners.morph.legs import legs_clear, with_slides
-    from hitchopt.planners.optimise.cost import FlightCost
-    from hitchopt.planners.optimise.search import OptimisedMorph
-    from hitchopt.planners.timing.timed_motion import check_duration, in_duration
+    end: Hitch
+    """The hitch after it."""
 
-    requirements = task.requirements
-    climb = end.altitude - task.hitch.altitude
-    certified: dict[Motion, StepPlan] = {}
+    phase: Phase
+    """With the step's name, index and range of tensions."""
 
-    def climbing(path: Path) -> Path:
-        """Return a path of the search, which is horizontal, with the climb to the end."""
-        return path if path is straight or climb == 0.0 else path.climbing(climb)
+    duration: float | None = None
+    """Prescribed duration [s]; None for the fastest one."""
 
-    def certified_along(path: Path) -> Motion:
-        """Return the certified motion along a path."""
-        along = partial(plan_along, task, end=end, phase=phase)
-        if own is not None and path is own.path:
-            plan = own
-        else:
-            plan = past_obstacles(task, along(path), path, along)
-        certified[plan.motion] = plan
-        return plan.motion
+    straight: Path | None = None
+    """The step's own path, which is a candidate if it is feasible; None if it is not."""
 
-    def certified_motion(path: Path) -> Motion | None:
+    own: StepPlan | None = None
+    """Certified plan along this path, if there is one."""
+
+    allow_slides: bool = False
+    """Whether legs that lead and lag are also tried."""
+
+    cost: CostFunction | None = None
+    """Minimised together with the duration."""
+
+    _certified: dict[Motion, StepPlan] = field(default_factory=dict, init=False)
+    """Certified plans by their motions."""
+
+    def plan(self) -> StepPlan:
+        """Return the fastest plan.
+
+        Raises InfeasibleError if the plan takes longer than the prescribed duration.
+        """
+        from hitchopt.planners.optimise.cost import FlightCost
+        from hitchopt.planners.optimise.search import OptimisedMorph
+
+        task = self.task
+        cost = None if self.cost is None else FlightCost(task.hitch.team, self.cost)
+        routes = OptimisedMorph(
+            task.hitch,
+            self.end,
+            task.requirements,
+            self._certified_motion,
+            self.phase.tension,
+            self.straight,
+            cost,
+            task.effort,
+        ).solve()
+        if routes.rejected is not None:
+            return self._plan_along_best(routes.rejected)
+        if not routes.accepted:
+            raise HitchoptError("no route was found")
+        fastest = routes.accepted[0]
+        plan = self._in_duration(self._certified[fastest.motion])
+        remark = ""
+        if plan.path is not self.straight:
+            is_feasible = any(not route.name for route in routes.accepted)
+            remark = self._remark(fastest.name, is_feasible=is_feasible)
+        if (self.allow_slides or cost is not None) and self.duration is None:
+            plan, gain = refined_plan(task, plan, self.phase, cost)
+            remark = "; ".join(filter(None, [remark, gain]))
+        return plan.with_remark(remark) if remark else plan
+
+    def _certified_motion(self, path: Path) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
-        climbed = climbing(path)
+        from hitchopt.planners.morph.legs import legs_clear, with_slides
+
+        requirements = self.task.requirements
+        climbing = self._climbing(path)
         candidates = list[Candidate[Motion]]()
-        if allow_slides:
-            sliding = with_slides(climbed, requirements.limits)
+        if self.allow_slides:
             candidates += [
-                Candidate("route with slides", partial(certified_along, variant))
-                for variant in sliding
+                Candidate("route with slides", partial(self._certified_along, variant))
+                for variant in with_slides(climbing, requirements.limits)
                 if legs_clear(variant, requirements)
             ]
-        candidates.append(Candidate("route", partial(certified_along, climbed)))
+        candidates.append(Candidate("route", partial(self._certified_along, climbing)))
         return first_feasible(candidates, None)
 
-    custom_cost = None if cost is None else FlightCost(task.hitch.team, cost)
-    morph = OptimisedMorph(
-        task.hitch,
-        end,
-        requirements,
-        certified_motion,
-        phase.tension,
-        straight,
-        custom_cost,
-        task.effort,
-    )
-    routes = morph.solve()
-    if routes.rejected is not None:
-        path = climbing(routes.rejected.path)
-        return _plan_along_best(task, path, routes.rejected.name, end, phase)
-    if not routes.accepted:
-        raise HitchoptError("no route was found")
-    fastest = routes.accepted[0]
-    plan = certified[fastest.motion]
-    if duration is not None:
-        check_duration(duration, plan.motion.duration)
-        slower = in_duration(plan.motion, duration)
-        slower = slower.replaced(phases=(phase.retimed(0.0, duration),))
-        plan = require_certified(replace(plan, motion=slower))
-    remark = ""
-    if plan.path is not straight:
-        is_feasible = any(not route.name for route in routes.accepted)
-        remark = _remark(fastest.name, is_feasible=is_feasible, has_cost=cost is not None)
-    if (allow_slides or cost is not None) and duration is None:
-        plan, gain = refined_plan(task, plan, phase, custom_cost)
-        remark = "; ".join(filter(None, [remark, gain]))
-    return plan.with_remark(remark) if remark else plan
+    def _climbing(self, path: Path) -> Path:
+        """Return a path of the search, which is horizontal, with the climb to the end."""
+        climb = self.end.altitude - self.task.hitch.altitude
+        return path if path is self.straight or climb == 0.0 else path.climbing(climb)
 
+    def _certified_along(self, path: Path) -> Motion:
+        """Return the certified motion along a path."""
+        along = partial(plan_along, self.task, end=self.end, phase=self.phase)
+        if self.own is not None and path is self.own.path:
+            plan = self.own
+        else:
+            plan = past_obstacles(self.task, along(path), path, along)
+        self._certified[plan.motion] = plan
+        return plan.motion
 
-def _remark(guess: str, *, is_feasible: bool, has_cost: bool) -> str:
-    """Describe a route from a guess; ``is_feasible`` says whether straight lines are."""
-    route = f"on an optimised route, first guess {guess}" if guess else "legs lead and lag"
-    if has_cost:
-        return route
-    return f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}"
+    def _in_duration(self, plan: StepPlan) -> StepPlan:
+        """Return the certified plan in the prescribed duration, if there is one."""
+        from hitchopt.planners.timing.timed_motion import check_duration, in_duration
+
+        if self.duration is None:
+            return plan
+        check_duration(self.duration, plan.motion.duration)
+        slower = in_duration(plan.motion, self.duration)
+        phases = (self.phase.retimed(0.0, self.duration),)
+        return require_certified(replace(plan, motion=slower.replaced(phases=phases)))
+
+    def _remark(self, guess: str, *, is_feasible: bool) -> str:
+        """Describe a route from a guess; ``is_feasible`` says whether straight lines are."""
+        route = f"on an optimised route, first guess {guess}" if guess else "legs lead and lag"
+        if self.cost is not None:
+            return route
+        return f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}"
+
+    def _plan_along_best(self, best: KnotPath) -> StepPlan:
+        """Return the plan along the best route that was tried.
+
+        Raises InfeasibleError with the limits that it breaks, and where along the route.
+        """
+        from hitchopt.planners.morph.morph import load_violation, shape_violation
+
+        path = self._climbing(best.path)
+        route = f"along {BEST_ROUTE} ({best.name})"
+        violation = shape_violation(path) or load_violation(path, self.task.requirements.limits)
+        if violation is not None:
+            when = violation.when.replace("of the path", route)
+            raise InfeasibleError([replace(violation, when=when)])
+        plan = plan_along(self.task, path, self.end, self.phase)
+        if plan.certificate.certified:
+            return plan
+        motion = plan.motion
+        step = f"in step {self.phase.step} ({self.phase.name})"
+        unplaced = infeasible_error(plan.certificate, motion).violations
+        named = named_checks(plan.certificate, Flight.of(motion))
+        placed = [
+            replace(violation, when=f"at {check.time / motion.duration:.0%} {route}, {step}")
+            for violation, check in zip(unplaced, named, strict=True)
+        ]
+        raise InfeasibleError(placed)
 
 
 def refined_plan(
@@ -661,29 +565,3 @@ def refined_plan(
     if cost is not None:
         gain += f"; its cost is {better.cost:.4g} s"
     return better.certified, gain
-
-
-def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: Phase) -> StepPlan:
-    """Return the plan along the best route that was tried; ``name`` is that of its guess.
-
-    Raises InfeasibleError with the limits that it breaks, and where along the route.
-    """
-    from hitchopt.planners.morph.morph import load_violation, shape_violation
-
-    route = f"along {BEST_ROUTE} ({name})"
-    violation = shape_violation(path) or load_violation(path, task.requirements.limits)
-    if violation is not None:
-        when = violation.when.replace("of the path", route)
-        raise InfeasibleError([replace(violation, when=when)])
-    plan = plan_along(task, path, end, phase)
-    if plan.certificate.certified:
-        return plan
-    motion = plan.motion
-    step = f"in step {phase.step} ({phase.name})"
-    unplaced = infeasible_error(plan.certificate, motion).violations
-    named = named_checks(plan.certificate, Flight.of(motion))
-    placed = [
-        replace(violation, when=f"at {check.time / motion.duration:.0%} {route}, {step}")
-        for violation, check in zip(unplaced, named, strict=True)
-    ]
-    raise InfeasibleError(placed)

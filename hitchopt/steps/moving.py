@@ -25,15 +25,14 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.planners.blending import BlendedSteps, PassedStep
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action, end_of_morph
 from hitchopt.planners.rests import IDLE, check_at_rest, hover_motion, rest_motion
 from hitchopt.planners.routes import (
-    PassedStep,
     RouteSearch,
     action_plan,
-    blended_plan,
     past_obstacles,
     plan_like,
     rolling_action_plan,
@@ -268,7 +267,7 @@ def _plan_nonstop(steps: Sequence[NonstopStep], task: StepTask) -> StepPlan:
         return plans
 
     free_legs = all(step.split is None for step in steps[:-1])
-    return blended_plan(task, passed, stopped, free_legs=free_legs)
+    return BlendedSteps(task, passed, stopped, free_legs).plan()
 
 
 class ActionStep(ShapeStep):
