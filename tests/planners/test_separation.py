@@ -460,7 +460,9 @@ def test_an_interrupted_osqp_ends_the_plan(monkeypatch: pytest.MonkeyPatch) -> N
     """OSQP catches SIGINT and reports it in its status."""
     one, eye = np.ones(2), sp.csc_array(sp.eye(2))
     program = QuadraticProgram(eye, 0.3 * one, eye, -one, one)
-    np.testing.assert_allclose(solve_program(program, 500), -0.3 * one, atol=1e-3)
+    solution = solve_program(program, 500)
+    assert solution is not None
+    np.testing.assert_allclose(solution, -0.3 * one, atol=1e-3)
     found = SimpleNamespace(info=SimpleNamespace(status_val=int(osqp.SolverStatus.OSQP_SIGINT)))
     monkeypatch.setattr(osqp.OSQP, "solve", lambda *_, **__: found)
     with pytest.raises(KeyboardInterrupt):
