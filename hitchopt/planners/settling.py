@@ -19,7 +19,6 @@ from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.rest_errors import longest_period, planned_rest, settled
 from hitchopt.motion.motion import SETTLE, Motion, Phase, concatenated
 from hitchopt.motion.states import states_at
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
@@ -115,6 +114,8 @@ class Settling:
     @cached_property
     def at_rest(self) -> dict[str, Array]:
         """The hitch at rest, as ``planned_rest``."""
+        from hitchopt.hitch.rest_errors import planned_rest
+
         motion = rest_plan(self.task.hitch, self.task.requirements).motion
         states = states_at(motion, np.zeros(1))
         return planned_rest(
@@ -129,6 +130,8 @@ class Settling:
         outward without one, and in their direction. If vertices moved, bands are along their ways,
         and 0 for others. They are nan where friction has no balance.
         """
+        from hitchopt.hitch.rest_errors import settled
+
         end, start = self.task.hitch, self.start
         team = end.team
         slides = np.ones_like(end.legs) if start is None else np.sign(end.legs - start.legs)
@@ -166,6 +169,8 @@ class Settling:
     @cached_property
     def shortest_move(self) -> float:
         """Shortest duration of an over-travel [s]."""
+        from hitchopt.hitch.rest_errors import longest_period
+
         return MOVE_SHARE * longest_period(self.task.hitch.team, self.at_rest)
 
     def over_travels(self, share: float) -> StepPlan:
