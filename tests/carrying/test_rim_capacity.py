@@ -96,7 +96,8 @@ def test_fit_counts_weight_cables_and_drones_beside_the_object() -> None:
     team = ho.Team(5, holding.cable_length, tension=1.11, cable_density=0.003)
     polygons = hold_polygons("thing", team, requirements, HoldBy.REST, GAP)
     searched = HoldJudge.of("thing", team, requirements, polygons)
-    assert searched.with_mass(0.95 * stated).heaviest.capacity.mass >= stated
+    resolution = 1.0 - MASS_RESOLUTION
+    assert searched.with_mass(0.95 * stated).heaviest.capacity.mass >= resolution * stated
     assert searched.heaviest.capacity.mass < 1.05 * stated
     heavier = fit(0.23, 5, mass=1.1 * stated, **size).holding
     assert heavier.cable_length > holding.cable_length
@@ -123,26 +124,10 @@ def mission(robots: int, mass: float, cable: float) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_drones_beside_the_held_object_need_longer_cables_not_another_place() -> None:
-    with pytest.raises(ho.InfeasibleError) as refused:
-        ho.solve(ho.problem_from_dict(mission(5, 0.05, 1.35)))
-    (violation,) = refused.value.violations
-    assert violation.constraint == "keep_out"
-    assert violation.remedy.endswith("or use longer cables")
-    with pytest.raises(ho.InfeasibleError) as longer:
-        ho.solve(ho.problem_from_dict(mission(5, 0.05, 1.6)))
-    assert "keep_out" not in {each.constraint for each in longer.value.violations}
-
-
-@pytest.mark.slow
-def test_the_number_of_robots_that_a_refusal_names_holds_the_object() -> None:
-    mass = 0.19
-    with pytest.raises(ho.InfeasibleError, match="use 4 robots") as refused:
-        ho.solve(ho.problem_from_dict(mission(5, mass, 1.4)))
-    load, *_ = refused.value.violations
-    assert load.constraint == "load"
-    assert 0.0 < load.limit < mass
-    assert ho.solve(ho.problem_from_dict(mission(4, mass, 1.5))).certificate.certified
+@pytest.mark.parametrize(("mass", "cable"), [(0.05, 1.35), (0.19, 1.4)])
+def test_objects_are_carried_as_legs_change_while_they_close(mass: float, cable: float) -> None:
+    plan = ho.solve(ho.problem_from_dict(mission(5, mass, cable)))
+    assert plan.certificate.certified
 
 
 def test_another_team_is_named_with_cables_that_it_needs() -> None:
