@@ -356,6 +356,11 @@ class HoldJudge:
             return ""
         speed = f"at {reserve:.0%} of the usual acceleration" if reserve else "slowly"
         remark = f"no hold has a reserve: the object is carried {speed}"
+        longer = self.longer_cables()
+        return remark if longer is None else f"{remark}; cables of {longer:.3g} m would have one"
+
+    def longer_cables(self) -> float | None:
+        """Return the length [m] of longer cables with which a hold has a full reserve, or None."""
         planner = self.planner
         longest = float(np.max(self.team.cable_length))
         for extra in EXTRA_LENGTHS[1:]:
@@ -370,8 +375,8 @@ class HoldJudge:
             )
             longer = first_feasible([Candidate("cables", build)], None)
             if longer is not None and longer.carries(planner.body.mass):
-                return f"{remark}; cables of {longest + extra:.3g} m would have one"
-        return remark
+                return longest + extra
+        return None
 
     @cached_property
     def heaviest(self) -> Heaviest:
@@ -447,19 +452,26 @@ def hold_error(judge: HoldJudge, hold: HoldingHitch, error: InfeasibleError) -> 
     key = f"objects.{judge.name}"
     mass = planner.body.mass
     capacity = judge.heaviest.capacity
-    hardware = "use the number of robots that hitchopt fit recommends"
-    if any(RIM_EDGE in violation.where for violation in error.violations):
-        hardware = _other_robots(judge)
+    remedies = list[str]()
+    if 0.0 < capacity.mass < mass:
+        remedies.append(f"lower {key}.mass")
     stated = f" (a {'rim' if hold.by is HoldBy.REST else 'grip'} holds {capacity.mass:.2g} kg)"
-    if hold.by is not HoldBy.REST:
-        hardware = "use rougher cables"
+    if hold.by is HoldBy.REST:
+        longer = judge.longer_cables()
+        if longer is not None:
+            remedies.append(f"use cables of {longer:.3g} m")
+        if any(RIM_EDGE in violation.where for violation in error.violations):
+            remedies += filter(None, [_other_robots(judge)])
+    else:
+        if capacity.binding == "grip":
+            remedies.append("use rougher cables")
         rim_mass = _rim_mass(judge)
         if rim_mass >= mass:
-            hardware = f"{hardware}, or add a rim"
+            remedies.append("add a rim")
         if rim_mass:
             stated = stated.replace(")", f", a rim {rim_mass:.2g} kg)")
     held = stated if capacity.mass else ""
-    remedy = f"lower {key}.mass, or request a different tension, or {hardware}{held}"
+    remedy = f"{', or '.join(remedies)}{held}".strip()
     violations = list[Violation]()
     if 0.0 < capacity.mass < mass:
         where = (judge.name,)
@@ -467,24 +479,21 @@ def hold_error(judge: HoldJudge, hold: HoldingHitch, error: InfeasibleError) -> 
         load = Violation("load", mass, capacity.mass, "max", "kg", where, when, remedy)
         violations.append(load)
     for violation in error.violations:
-        alternatives = ""
+        others = [remedy]
         if violation.constraint == "tilt":
-            alternatives += ", or raise limits.tilt_deg"
-        if violation.constraint == "keep_out" and judge.name in violation.where:
-            alternatives += ", or use longer cables"  # drones are beside the held object itself
-        elif violation.constraint in LENGTH_LIMITED:
-            alternatives += ", or use cables of a different length"
-        elif violation.constraint not in LOAD_LIMITED:
-            alternatives += f", or {violation.remedy}"
-        violations.append(replace(violation, remedy=remedy + alternatives))
+            others.append("raise limits.tilt_deg")
+        is_beside = violation.constraint == "keep_out" and judge.name in violation.where
+        if not is_beside and violation.constraint not in LOAD_LIMITED | LENGTH_LIMITED:
+            others.append(violation.remedy)
+        violations.append(replace(violation, remedy=", or ".join(filter(None, others))))
     return InfeasibleError(violations)
 
 
 def _other_robots(judge: HoldJudge) -> str:
-    """Return what to use where legs cut a rim: another number of robots, if one holds it."""
+    """Return the number of robots to use where legs cut a rim; empty if none holds it."""
     other = team_for_rim(judge)
     if other is None:
-        return "use a rounder rim"
+        return ""
     cables = ""
     cable_length = float(np.min(other.cable_length))
     if cable_length > float(np.min(judge.team.cable_length)):
