@@ -323,17 +323,28 @@ def test_edges_close_around_a_light_box_with_so_little_tension_that_it_stays() -
     assert np.min(plan.motion.tensions.coefficients) < 0.25
 
 
-def opening(friction: float) -> str:
-    """Return what a regular hitch of 0.4 m off the origin is told that opens to 0.56 m."""
+def opening(friction: float, radius: float = 0.12) -> str:
+    """Return what a regular hitch of 0.4 m off the origin is told that opens to 0.56 m.
+
+    Its drones keep a distance of two radii [m].
+    """
     angles = 0.3 - 2.0 * np.pi * np.arange(3) / 3
     corners = np.column_stack([np.cos(angles), np.sin(angles)])
     outline = ho.ConvexPolygon(0.4 * corners + [0.7, -0.2])
     hitch = ho.Hitch.balanced(ho.Team(3, 1.6, cable_friction=friction), outline, altitude=1.0)
+    requirements = Requirements(separation=ho.Separation(radius=radius))
     try:
-        check_opens(hitch, 0.56 * corners + [0.7, -0.2], Requirements(), "tie it larger")
+        check_opens(hitch, 0.56 * corners + [0.7, -0.2], requirements, "tie it larger")
     except ho.InfeasibleError as error:
         return error.violations[0].remedy
     return ""
+
+
+def test_hitches_are_not_told_to_be_tied_where_drones_would_come_close() -> None:
+    assert "tie it larger" in opening(0.15)
+    close = opening(0.15, radius=0.22)
+    assert "smoother cables" in close
+    assert "tie it larger" not in close
 
 
 def test_the_suggested_friction_is_the_largest_that_opens() -> None:

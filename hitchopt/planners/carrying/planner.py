@@ -15,6 +15,7 @@ from hitchopt.checks import Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import value_cache
 from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_down
+from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import BalanceError
@@ -26,6 +27,7 @@ from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.carrying.holds import GripHold, HoldingHitch
 from hitchopt.planners.carrying.moves import MAX_STEP_SLOPE, Move, SmoothLaw
 from hitchopt.planners.carrying.polygons import HoldPolygons
+from hitchopt.planners.forming.circles import spread_hitch
 from hitchopt.values import Array
 
 LIFT_SPEED = 0.4
@@ -596,7 +598,8 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     hitch: before it opens.
     around: (n, 2) [m], goals of its vertices, about any centre.
     requirements: the distance of drones.
-    remedy: alternative to smoother cables, for the message.
+    remedy: what to say where a hitch with the polygon ``around`` keeps its distances, so that it
+        can be tied at that size.
     """
     team = hitch.team
     friction = team.cable_friction
@@ -622,12 +625,15 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     worst = int(np.argmax(utilization))
     if utilization[worst] <= 1.0:
         return
+    tied = spread_hitch(team, ConvexPolygon(around), hitch.altitude, requirements)
+    remedies = [] if tied is None else [remedy]
     largest_friction = log_ratio[worst] / turns[worst]
     if largest_friction > 0.0:
         rounded = math.floor(1000.0 * largest_friction) / 1000.0
-        remedy = f"{remedy}, or use smoother cables, team.cable_friction {rounded:.3g} or less"
+        remedies.append(f"use smoother cables, team.cable_friction {rounded:.3g} or less")
     where = (team.point_names[team.layout.clasps[worst]],)
     when = "as the hitch opens"
     ratio = float(utilization[worst])
-    violation = Violation("equilibrium", ratio, 1.0, "max", "ratio", where, when, remedy)
+    suggested = ", or ".join(remedies)
+    violation = Violation("equilibrium", ratio, 1.0, "max", "ratio", where, when, suggested)
     raise InfeasibleError([violation])

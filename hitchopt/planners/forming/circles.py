@@ -129,7 +129,7 @@ class CircularHitches:
             if any(np.allclose(edges, other) for other in tried):
                 continue
             tried.append(edges)
-            hitch = _spread(team, circular_polygon(edges), self.goal.altitude, requirements)
+            hitch = spread_hitch(team, circular_polygon(edges), self.goal.altitude, requirements)
             if hitch is not None:
                 yield hitch
 
@@ -146,7 +146,7 @@ class CircularHitches:
             yield Hitch(shape.team, polygon, shape.altitude, shape.q_legs)
 
 
-def _spread(
+def spread_hitch(
     team: Team, polygon: ConvexPolygon, altitude: float, requirements: Requirements
 ) -> Hitch | None:
     """Return the hitch with spread legs without roll, or None if they break a distance."""
