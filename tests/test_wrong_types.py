@@ -282,11 +282,11 @@ def test_what_resembles_numbers_is_refused_by_its_name(
         assert words in str(caught.value)
 
 
-READ: list[Callable[[Any], Any]] = [
+READ = [
     lambda x: ho.Hitch.spread(TEAM, x).vertices,
     lambda x: ho.ConvexPolygon(x).vertices,
     lambda x: ho.Section(x).outline,
-    lambda x: ho.fit(x, robots=3).section.outline,
+    pytest.param(lambda x: ho.fit(x, robots=3).section.outline, marks=pytest.mark.slow),
     lambda x: ho.Path.of(TEAM, [x, x, x]).shapes([0.5]).polygons,
     lambda x: ho.ConvexPolygon(ho.Morph(x).polygon).vertices,
     lambda x: ho.Prism(x, 0.0, 1.0).polygon.vertices,
