@@ -483,12 +483,13 @@ class Problem(ByValue):
         for name, body in self.objects.items():
             check_instance(f"objects.{name}", body, SolidObject)
         object.__setattr__(self, "objects", dict(self.objects))
-        if self.kind != "swarm":
-            self._prisms_to_objects()
         if isinstance(self.team, Mapping):
+            self._prisms_to_objects()
             store(self, teams=self._resolved_teams())
         else:
             check_instance("team", self.team, Team)
+            if self.team.has_cables:
+                self._prisms_to_objects()
             if isinstance(self.mission, str):
                 raise _no_step("mission", self.mission)
             steps = sequence("mission", self.mission)

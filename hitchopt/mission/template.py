@@ -24,6 +24,7 @@ from hitchopt.values.fields import EMPTY, Key, keys_of, with_fields
 
 SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "team": (Team, "  #", ("cable_density", "tension")),
+    "settled_team": (Team, "  #", ("cable_density", "tension", "cable_friction")),
     "limits": (Limits, "#  ", ()),
     "stated_limits": (Limits, "  #", ("tracking",)),
     "separation": (Separation, "#  ", ()),

@@ -27,7 +27,7 @@ def team(friction: float) -> Team:
 
 def moved(friction: float) -> Motion:
     start = ho.Hitch.spread(team(friction), SQUARE, altitude=1.2)
-    return ho.solve(start, ho.MoveVertex(0, by=[0.25, 0.1], duration=4.0)).motion
+    return ho.solve(start, ho.MoveVertex(0, by=[0.25, 0.1], duration=4.0, settle=False)).motion
 
 
 @pytest.fixture(scope="module")

@@ -314,4 +314,4 @@ def test_a_morph_without_a_route_names_the_best_one_tried() -> None:
     routes = OptimisedMorph(start, end, FREE, lambda _: None).solve()
     assert routes.accepted == []
     assert routes.rejected is not None
-    assert routes.rejected.name == "edges turned"
+    assert routes.rejected.name.startswith("edges turned")
