@@ -72,10 +72,16 @@ MIN_LEG = 0.02
 UPWARD = np.array([[1.0], [-1.0]])
 """Signs of rises toward the clasp, along legs of the cables ahead of and behind it."""
 
-SWEEPS = 12
-"""Iterations of the slips at both ends of the edges; each reduces the error to 40 %, and to 80 %
-between edges of 13 cm on legs of 60 cm. Slips that are less accurate excite cables without
-friction."""
+SLIP_ERROR, SWEEPS = 0.05, (6, 12, 24, 60)
+"""Share of their error that iterations of the slips at both ends of the edges leave, and numbers of
+these: short edges need most. Less accurate slips excite cables without friction."""
+
+
+def _sweeps(contractions: Array) -> int:
+    """Return the number of iterations, whose errors contract by these factors."""
+    slowest = float(np.max(contractions, initial=SLIP_ERROR))
+    needed = math.log(SLIP_ERROR) / math.log(slowest)
+    return next((count for count in SWEEPS if count >= needed), SWEEPS[-1])
 
 
 class Network:
@@ -304,7 +310,7 @@ class ClaspWorld:
         edge = trial[:, edges] - UPWARD * rises[:, edges]
         leg_stiffness, edge_stiffness = stiffness[:, legs], stiffness[:, edges]
         slips = 2.0 * self._slips - self._last_slips
-        for _ in range(SWEEPS):
+        for _ in range(_sweeps(edge_stiffness / (leg_stiffness + edge_stiffness))):
             others = slips.reshape(flights, -1) @ self._network.other_ends
             now = np.maximum(edge + edge_stiffness * others.reshape(slips.shape), TINY)
             ratio = np.exp(limits * self._nearest(np.log(leg / now) / limits))
