@@ -35,6 +35,12 @@ def pointed(density: float = 0.005, **of_team: object) -> Hitch:
     return Hitch.balanced(team, [[0.0, 0.8], [0.45, -0.3], [-0.45, -0.3]], altitude=1.5)
 
 
+def narrow() -> Hitch:
+    """Return a hitch with an edge of 12 cm, which is stiff beside its legs."""
+    corners = [[-0.2, -0.8], [-0.06, 0.8], [0.06, 0.8], [0.2, -0.6]]
+    return Hitch.balanced(ho.Team(4, 2.54, tension=0.4), corners, altitude=1.5)
+
+
 def chain() -> Hitch:
     """Return a chain of three cables, whose ends have no legs."""
     team = ho.Team(3, 1.4, topology="open", tension=0.4, cable_density=0.005)
@@ -78,7 +84,9 @@ def use_of_friction(world: ClaspWorld, hitch: Hitch, friction: float) -> Array:
 
 
 @pytest.mark.parametrize(
-    "hitch", [pointed(), pointed(0.0), chain()], ids=["heavy", "light", "chain"]
+    "hitch",
+    [pointed(), pointed(0.0), chain(), narrow()],
+    ids=["heavy", "light", "chain", "narrow"],
 )
 def test_without_friction_vertices_rest_where_they_are_planned(
     hitch: Hitch, monkeypatch: pytest.MonkeyPatch

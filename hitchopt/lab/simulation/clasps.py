@@ -72,16 +72,9 @@ MIN_LEG = 0.02
 UPWARD = np.array([[1.0], [-1.0]])
 """Signs of rises toward the clasp, along legs of the cables ahead of and behind it."""
 
-SLIP_ERROR, SWEEPS = 0.05, (6, 12, 24, 60)
-"""Share of their error that iterations of the slips at both ends of the edges leave, and numbers of
-these: short edges need most. Less accurate slips excite cables without friction."""
-
-
-def _sweeps(contractions: Array) -> int:
-    """Return the number of iterations, whose errors contract by these factors."""
-    slowest = float(np.max(contractions, initial=SLIP_ERROR))
-    needed = math.log(SLIP_ERROR) / math.log(slowest)
-    return next((count for count in SWEEPS if count >= needed), SWEEPS[-1])
+SWEEPS = 4
+"""Iterations of the ratios of tensions at the clasps. For given ratios slips are exact: otherwise
+they excite cables without friction, most of all at short edges."""
 
 
 class Network:
@@ -299,7 +292,7 @@ class ClaspWorld:
         ``trial`` are the tensions [N] of cables that stick, ``stiffness`` [N/m] their increase per
         extension.
         """
-        legs, edges, flights = self._network.legs, self._network.edges, self._flights
+        legs, edges = self._network.legs, self._network.edges
         units = vectors / chords[..., None]
         cosines = dot(units[:, legs], units[:, edges])
         wraps = np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))
@@ -310,14 +303,22 @@ class ClaspWorld:
         edge = trial[:, edges] - UPWARD * rises[:, edges]
         leg_stiffness, edge_stiffness = stiffness[:, legs], stiffness[:, edges]
         slips = 2.0 * self._slips - self._last_slips
-        for _ in range(_sweeps(edge_stiffness / (leg_stiffness + edge_stiffness))):
-            others = slips.reshape(flights, -1) @ self._network.other_ends
-            now = np.maximum(edge + edge_stiffness * others.reshape(slips.shape), TINY)
+        for _ in range(SWEEPS):
+            now = np.maximum(edge + edge_stiffness * self._at_other_ends(slips), TINY)
             ratio = np.exp(limits * self._nearest(np.log(leg / now) / limits))
-            slips = (leg - ratio * now) / (leg_stiffness + ratio * edge_stiffness)
+            stiffness = leg_stiffness + ratio * edge_stiffness
+            alone = (leg - ratio * edge) / stiffness  # if the edge's other end sticks
+            response = ratio * edge_stiffness / stiffness  # to a slip there
+            both = alone - response * self._at_other_ends(alone)
+            slips = both / (1.0 - response * self._at_other_ends(response))
         self._last_slips, self._slips = self._slips, slips
         self.slid += np.abs(slips)
         return slips
+
+    def _at_other_ends(self, values: Array) -> Array:
+        """Return values (flights, 2, clasps) at the edges' other ends; 0 at the ends of chains."""
+        others = values.reshape(self._flights, -1) @ self._network.other_ends
+        return np.asarray(others.reshape(values.shape))
 
     def _nearest(self, z: Array) -> Array:
         """Return the points of the ellipse nearest to z (flights, 2, clasps); z itself inside.
