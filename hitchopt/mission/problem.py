@@ -418,9 +418,9 @@ class Problem(ByValue):
 
     Single drones are a ``Swarm`` that starts at positions (N, 3) [m] and whose steps are ``Fly``.
 
-    ``keep_out`` has prisms that drones stay out of by ``Separation.radius``. Next to hitches they
-    are fixed ``objects`` named ``prism_0``, ``prism_1``, …, which cables and bodies stay out of,
-    too.
+    ``keep_out`` has prisms that drones stay out of by ``Separation.radius``. In problems with
+    hitches they become fixed ``objects`` named ``prism_0``, ``prism_1``, …, of which cables and
+    carried objects keep clear, too.
 
     Several teams are mappings by name: ``team`` has their teams, ``start`` their starts, and items
     of ``mission`` a step, or a sequence of steps, of some of them. The steps of an item begin
