@@ -28,6 +28,7 @@ from hitchopt.hitch.team import Swarm, Team
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.candidates import Candidate, Effort, first_certified, outcome
+from hitchopt.planners.carrying.hinge import clasp_height, needed_height
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import tying_tension
 from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, HoldPolygons, best_grip
@@ -39,7 +40,6 @@ from hitchopt.planners.grasps import (
     on_pillar,
     shortest_judge,
 )
-from hitchopt.steps.straddling import Tie, needed_height
 from hitchopt.values import integer, points, positive, sequence
 from hitchopt.values.fields import Key, Record, suggest_keywords, with_fields
 from hitchopt.values.units import (
@@ -427,7 +427,7 @@ def _objects(task: FitTask, by: HoldBy) -> dict[str, SolidObject]:
 def _tied_at(task: FitTask) -> float:
     """Return the height above the base at which two cables are tied [m]."""
     body = SolidObject(task.section, 0.0, task.height)
-    return Tie("object").height_for(body, task.requirements)
+    return clasp_height(body, task.requirements)
 
 
 def _tied(task: FitTask) -> Holding:

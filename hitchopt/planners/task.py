@@ -19,7 +19,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Effort
-from hitchopt.planners.carrying.planner import GraspState
+from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array, Indices
 
@@ -157,6 +157,11 @@ class StepTask:
             raise RequestError("start", "no object", "an enclosed object", "enclose one first")
         return self.before.grasp
 
+    @property
+    def held(self) -> MovePlanner:
+        """Planner of moves with the enclosed or held object; raises InputError without one."""
+        return MovePlanner(self.grasp, self.requirements, self.index)
+
     def within(self, requirements: Requirements, state: RestState) -> StepTask:
         """Return the task with other requirements and another start."""
         return replace(self, before=state, requirements=requirements)
@@ -164,6 +169,28 @@ class StepTask:
     def plan_ending(self, motion: Motion, hitch: Hitch) -> StepPlan:
         """Return the plan of a motion to a hitch."""
         return StepPlan(motion, replace(self.before, hitch=hitch, drones=hitch.drones))
+
+    def plan_with_object(
+        self, motion: Motion, grasp: GraspState, place: Array, below: float = 0.0
+    ) -> StepPlan:
+        """Return the plan of a motion to a grasp, with the object's base at a pose (4,).
+
+        The clasps end ``below`` the rim [m].
+        """
+        body = self.requirements.objects[grasp.object].moved_to(place)
+        hitch = self.before.hitch
+        hold = grasp.hold
+        if hold is not None and hold.team.robots > 2:  # two clasps have no outline
+            drop = float(hold.drop(grasp.tension, float(grasp.carried)))
+            hitch = hold.hitch(body, below + drop)
+        after = replace(
+            self.before,
+            drones=motion.drones.at(motion.duration),
+            hitch=hitch,
+            grasp=grasp,
+            objects={**self.requirements.objects, grasp.object: body},
+        )
+        return StepPlan(motion, after)
 
 
 def plan_in_sequence(

@@ -25,6 +25,7 @@ from hitchopt.objects.placing import (
     surface_below,
 )
 from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.carrying.hinge import check_hinge
 from hitchopt.planners.carrying.holds import GripHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
@@ -56,11 +57,8 @@ from hitchopt.steps.step import (
     Step,
     Yaw,
     checks_relaxed_by,
-    moves_plan,
-    plan_to,
-    planner_of,
 )
-from hitchopt.steps.straddling import Tie, Untie, check_hinge
+from hitchopt.steps.straddling import Tie, Untie
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, documented, points, with_fields, words
@@ -380,7 +378,7 @@ BALANCE_CHECKS = frozenset({"equilibrium", "keep_out"})
 
 def hold_judge(task: StepTask, tension: Array) -> HoldJudge:
     """Return the judge of holds of the enclosed object, with tensions (n,) [N]."""
-    return HoldJudge(planner_of(task).from_state(tension=tension), task.hitch)
+    return HoldJudge(task.held.from_state(tension=tension), task.hitch)
 
 
 class TensionStep(Step):
@@ -450,7 +448,7 @@ class Grasp(TensionStep):
             motion = step_motion(self, task, parts, rising.phases[0].hold)
             if np.any(planner.hold.roll):  # drones and cables sink toward the ground
                 require_certified(StepPlan(motion, task.before))
-            plan = plan_to(task, planner.state, motion, body.place)
+            plan = task.plan_with_object(motion, planner.state, body.place)
             return plan.with_remark(judge.remark_on(reserve))
 
         return first_certified(judge.candidates(held), task.effort, task.progress)
@@ -467,7 +465,7 @@ class Grasp(TensionStep):
         grips = judge.candidates(lambda closing, _: judge.with_hold(closing[-1]))
         planner = first_certified(grips, task.effort, task.progress)
         motion = self.with_duration(task, planner.close_grip(team.tension, self.name))
-        return plan_to(task, planner.state, motion, body.place)
+        return task.plan_with_object(motion, planner.state, body.place)
 
 
 @documented
@@ -487,12 +485,12 @@ class Lift(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical ascent."""
-        planner = planner_of(task)
+        planner = task.held
         object_of(task, planner.state.object)  # two cables may be tied around any
         check_hinge(planner)
         to = goal_of(self, task.requirements, planner.state.object)
         moves = [planner.transfer(0.0, 1.0), planner.carry(to, LIFT_SPEED)]
-        return moves_plan(self, task, replace(task.grasp, carried=True), moves)
+        return self.plan_of_moves(task, replace(task.grasp, carried=True), moves)
 
 
 @documented
@@ -521,7 +519,7 @@ class Carry(Step):
         straight = Candidate("straight way", partial(self._through, [to], task))
         from hitchopt.planners.carrying.detours import CarrySearch  # heavy
 
-        ways = CarrySearch(planner_of(task), to).ways()
+        ways = CarrySearch(task.held, to).ways()
         beside = [Candidate("detour", partial(self._past, way, task)) for way in ways]
         return first_certified([*beside, straight], task.effort, task.progress)
 
@@ -533,14 +531,14 @@ class Carry(Step):
 
     def _through(self, places: Sequence[Array], task: StepTask) -> StepPlan:
         """Return the plan through places (4,) x, y, z [m] and yaw [rad], at rest in each."""
-        planner = planner_of(task)
+        planner = task.held
         requirements = task.requirements
         moves = list[Move]()
         for place in places:
             moves.append(planner.carry(place, requirements.limits.speed))
             objects = {**requirements.objects, self.object: planner.body.moved_to(place)}
             planner = replace(planner, requirements=replace(requirements, objects=objects))
-        return moves_plan(self, task, task.grasp, moves)
+        return self.plan_of_moves(task, task.grasp, moves)
 
 
 @documented
@@ -561,7 +559,7 @@ class SetDown(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical descent to a stable support."""
         objects = task.requirements.objects
-        planner = planner_of(task)
+        planner = task.held
         to = goal_of(self, task.requirements, self.object)
         set_down = objects[self.object].moved_to(to)
         margin = footing({**objects, self.object: set_down}, self.object)
@@ -576,7 +574,7 @@ class SetDown(Step):
         down = planner.carry(to, LIFT_SPEED)
         unloading = replace(planner.transfer(1.0, 0.0), start=to, end=to)
         moves = [down, unloading]
-        return moves_plan(self, task, replace(task.grasp, carried=False), moves)
+        return self.plan_of_moves(task, replace(task.grasp, carried=False), moves)
 
 
 @documented
@@ -592,16 +590,17 @@ class Loosen(Step):
         """Plan the change to a hitch around the object."""
         body = object_of(task, self.object)
         team = task.before.team
-        planner = planner_of(task)
+        planner = task.held
         hold = planner.hold
         freed = replace(task.grasp, tension=team.tension, hold=None)
         if isinstance(hold, GripHold):
             motion = self.with_duration(task, planner.open_grip(team.tension, self.name))
-            after = plan_to(task, freed, motion, body.place).after
+            after = task.plan_with_object(motion, freed, body.place).after
             return StepPlan(motion, replace(after, hitch=hold.opened.hitch(body)))
         lower = planner.retension(planner.state.tension, team.tension)
         sinking = planner.motion([planner.rim_move(0.0, planner.gap), *lower], self.name)
-        low = plan_to(task, replace(freed, hold=hold), sinking, body.place, planner.gap).after
+        held = replace(freed, hold=hold)
+        low = task.plan_with_object(sinking, held, body.place, planner.gap).after
         around = Morph(polygon_at(body, freed.polygons.around))
         opening = around.plan(task.within(requirements_near(task, self.object), low))
         motion = step_motion(self, task, [sinking, opening.motion], sinking.phases[0].hold)

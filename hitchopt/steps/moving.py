@@ -68,8 +68,6 @@ from hitchopt.steps.step import (
     WhichPoint,
     Yaw,
     checks_relaxed_by,
-    moves_plan,
-    planner_of,
     scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
@@ -319,7 +317,7 @@ class Hold(HitchStep):
         """Return the plan of a hitch, or of drones on free cables, at rest."""
         before = task.before
         if before.grasp is not None and before.grasp.hold is not None:
-            return moves_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
+            return self.plan_of_moves(task, task.grasp, [task.held.rest(self.seconds)])
         if before.open_roll is not None:
             closed = self.in_phase(task, None, task.hitch)
             drones = PiecewisePolynomial.constant(closed.drones.breaks, before.drones)

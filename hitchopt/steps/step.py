@@ -24,7 +24,7 @@ from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
-from hitchopt.planners.carrying.planner import GraspState, MovePlanner
+from hitchopt.planners.carrying.planner import GraspState
 from hitchopt.planners.ends import SPLIT, SPLIT_TEXT, RolledLegs, SlackSplit
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.values import Array, Points, finite, per_robot
@@ -255,50 +255,6 @@ def scaled_outline_edit(key: str, outline: Outline, factor: float, centre: Array
     return Edit(key, scaled_points(outline.vertices, factor, centre).tolist())
 
 
-def planner_of(task: StepTask) -> MovePlanner:
-    """Return the planner of moves with the enclosed or held object."""
-    return MovePlanner(task.grasp, task.requirements, task.index)
-
-
-def moves_plan(step: Step, task: StepTask, after: GraspState, moves: Sequence[Move]) -> StepPlan:
-    """Return the plan of consecutive moves to a state, in the step's prescribed duration.
-
-    Their laws are slowed down, not their curves: legs tilt with the object's acceleration.
-    """
-    from hitchopt.planners.timing.timed_motion import check_duration
-
-    duration = step.prescribed_duration
-    if duration is not None:
-        fastest = sum(move.law.duration for move in moves)
-        check_duration(duration, fastest, f"of step {task.index} ({step.name})")
-        moves = [replace(move, law=move.law.slowed(duration / fastest)) for move in moves]
-    motion = planner_of(task).motion(moves, step.name)
-    return plan_to(task, after, motion, moves[-1].end, moves[-1].below[1])
-
-
-def plan_to(
-    task: StepTask, after: GraspState, motion: Motion, place: Array, below: float = 0.0
-) -> StepPlan:
-    """Return the plan of a motion to a state, with the object's base at a pose (4,).
-
-    The clasps end ``below`` the rim [m].
-    """
-    body = task.requirements.objects[after.object].moved_to(place)
-    hitch = task.before.hitch
-    hold = after.hold
-    if hold is not None and hold.team.robots > 2:  # two clasps have no outline
-        drop = float(hold.drop(after.tension, float(after.carried)))
-        hitch = hold.hitch(body, below + drop)
-    state = replace(
-        task.before,
-        drones=motion.drones.at(motion.duration),
-        hitch=hitch,
-        grasp=after,
-        objects={**task.requirements.objects, after.object: body},
-    )
-    return StepPlan(motion, state)
-
-
 class Stage(StrEnum):
     """Stage of a hitch with respect to an object, or to an open vertex."""
 
@@ -450,6 +406,22 @@ class Step(Record, ABC):
             return motion
         check_duration(duration, motion.duration, f"of step {task.index} ({self.name})")
         return motion.slowed(duration / motion.duration)
+
+    def plan_of_moves(self, task: StepTask, grasp: GraspState, moves: Sequence[Move]) -> StepPlan:
+        """Return the plan of consecutive moves to a grasp, in the prescribed duration.
+
+        Their laws are slowed down, not their curves: legs tilt with the object's acceleration.
+        """
+        from hitchopt.planners.timing.timed_motion import check_duration
+
+        duration = self.prescribed_duration
+        if duration is not None:
+            fastest = sum(move.law.duration for move in moves)
+            check_duration(duration, fastest, f"of step {task.index} ({self.name})")
+            moves = [replace(move, law=move.law.slowed(duration / fastest)) for move in moves]
+        motion = task.held.motion(moves, self.name)
+        last = moves[-1]
+        return task.plan_with_object(motion, grasp, last.end, last.below[1])
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the numbers that repair may change: a prescribed duration."""

@@ -30,11 +30,17 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.planners.carrying.hinge import (
+    EDGE,
+    PREFERRED_HINGE,
+    clasp_height,
+    needed_height,
+)
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_violated
 from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps
 from hitchopt.planners.carrying.straddle_planner import BESIDE, find_straddle
-from hitchopt.steps.straddling import EDGE, PREFERRED_HINGE, Tie, needed_height
+from hitchopt.steps.straddling import Tie
 from hitchopt.values import Array
 from hitchopt.verify import objects
 from tests.helpers.groups import part
@@ -538,7 +544,7 @@ def test_clasps_are_tied_above_the_centre_of_mass_and_below_the_top(
     stated = replace(stated, limits=replace(stated.limits, tracking=error))
     requirements, body = stated.teams[""].requirements, stated.objects["drum"]
     lowest = needed_height(body, requirements)
-    height = Tie("drum").height_for(body, requirements)
+    height = clasp_height(body, requirements)
     assert min(lowest, top - EDGE) <= height <= top - EDGE
     assert height <= max(lowest, top - error) + 1e-9
     assert height <= max(lowest, 0.5 * top + PREFERRED_HINGE)
@@ -581,7 +587,7 @@ def tied_grip(stated: ho.Problem) -> tuple[GripHold, Requirements]:
     requirements = stated.teams[""].requirements.flown_by(stated.team).with_reserve
     body = stated.objects["drum"]
     clasps = grip_clasps("drum", body, stated.team, requirements)
-    height = Tie("drum").height_for(body, requirements)
+    height = clasp_height(body, requirements)
     return GripHold.tied(stated.team, body, clasps, height), requirements
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.mission.loading import load_problem, problem_from_dict
-from hitchopt.steps.flying import flyable_accelerations
+from hitchopt.planners.swarms import flyable_accelerations
 from hitchopt.steps.moving import Hold
 from hitchopt.storage.yaml_file import read_yaml
 from tests.helpers.plans import PROBLEMS, header

@@ -1,0 +1,107 @@
+"""Tying two cables around an object, and untying them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from hitchopt.geometry.vectors import rotated, turn
+from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import in_world
+from hitchopt.planners.carrying.holds import GripHold
+from hitchopt.planners.carrying.planner import tying_tension
+from hitchopt.planners.carrying.polygons import grip_clasps
+from hitchopt.planners.carrying.straddle_planner import MAX_TURN, find_straddle
+from hitchopt.planners.forming.stages import Keyframe, reversed_stages, straight_stages
+from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.planners.tying import approach_motion
+from hitchopt.values import Array
+
+NO_TURN = math.radians(2.0)
+"""[rad] Angle up to which hanging cables need not turn about an object."""
+
+
+def tied_around(task: StepTask, name: str, height: float, tying: Array, tension: Array) -> StepPlan:
+    """Return the plan that ties two cables around an object, and draws them taut.
+
+    Parameters
+    ----------
+    name: of the object.
+    height: of the clasps above its base [m].
+    tying: tensions (n,) [N] while cables are tied.
+    tension: tensions (n,) [N] to which they are drawn.
+    """
+    requirements = task.requirements
+    team = task.before.team
+    body = requirements.objects[name]
+    clasps = grip_clasps(name, body, team, requirements)
+    numbered = _numbered(clasps, body, task.before.drones)
+    hold = GripHold.tied(team, body, numbered, height)
+    planner = find_straddle(name, hold, tying, requirements, task.index, task.before.drones)
+    approach = _approach_motions(task, planner.hanging.drones, body)
+    motion = concatenated([*approach, *planner.stages(), *planner.draw_grip(tension)])
+    return task.plan_with_object(motion, replace(planner.state, tension=tension), body.place)
+
+
+def untied(task: StepTask) -> StepPlan:
+    """Return the plan that unties two cables from an object, until they hang next to it."""
+    held = task.held
+    requirements = task.requirements
+    team = task.before.team
+    tension = np.full(team.robots, tying_tension(team))
+    hold = replace(held.grip, body=held.body)
+    planner = find_straddle(held.state.object, hold, tension, requirements, task.index)
+    loosened = planner.from_state(tension=held.state.tension).open_grip(tension, "loosen")
+    motion = concatenated([loosened, *reversed_stages(planner.stages())])
+    after = replace(
+        task.before,
+        drones=motion.drones.at(motion.duration),
+        hitch=None,
+        grasp=None,
+        objects=dict(requirements.objects),
+    )
+    return StepPlan(motion, after)
+
+
+def _along(drones: Array) -> Array:
+    """Return the direction (2,) along both cables, that of cable 0, from drones (4, 3) [m]."""
+    pairs = drones.reshape(2, 2, 3)[..., :2]
+    first_chord = pairs[0, 1] - pairs[0, 0]
+    second_chord = pairs[1, 1] - pairs[1, 0]
+    return np.asarray(first_chord - second_chord)
+
+
+def _numbered(clasps: Array, body: SolidObject, drones: Array) -> Array:
+    """Return the clasps (2, 2) [m] in the order for drones (4, 3) [m]; turned about a disc.
+
+    Cable 0 runs from the first to the second one, in the direction of its drones.
+    """
+    angle = float(turn(rotated(clasps[1] - clasps[0], body.yaw), _along(drones)))
+    if body.section.radius is not None:
+        return rotated(clasps, angle)
+    return clasps if abs(angle) <= 0.5 * math.pi else clasps[::-1].copy()
+
+
+def _approach_motions(task: StepTask, goal: Array, body: SolidObject) -> list[Motion]:
+    """Return the motions of free cables to a goal (4, 3) [m], one on each side of an object.
+
+    They turn about the object if they are not along its clasps.
+    """
+    before = task.before
+    centre = in_world(body.pose, body.centre_of_mass)[:2]
+    angle = float(turn(_along(goal), _along(before.drones)))
+
+    def turned(share: float) -> Array:
+        """Return the goal (4, 3) [m] turned by a share of the angle about the object."""
+        level = centre + rotated(goal[:, :2] - centre, share * angle)
+        return np.column_stack([level, goal[:, 2]])
+
+    turns = max(0, math.ceil((abs(angle) - NO_TURN) / MAX_TURN))
+    remaining_shares = np.linspace(1.0, 0.0, turns + 1)[1:].tolist()
+    keyframes = [Keyframe("turn", turned(share)) for share in remaining_shares]
+    beside = turned(1.0 if turns else 0.0)
+    turning = straight_stages(beside, keyframes, before.team, task.requirements, task.index)
+    return [approach_motion(task, beside), *turning]
