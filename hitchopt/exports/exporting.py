@@ -42,9 +42,9 @@ from hitchopt.exports.contents import (
     read_manifest,
     sealed,
 )
-from hitchopt.exports.format import ExportTask, Format, FormatOutput, format_of
+from hitchopt.exports.format import ExportTask, Format, FormatOutput, format_of, own_endings
 from hitchopt.exports.held_tension import held_tension, loop_gains, trailing_times
-from hitchopt.exports.options import ENDINGS, HOMES, ExportOptions
+from hitchopt.exports.options import HOMES, ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, places_text, read_fleet
 from hitchopt.exports.tension import TensionPolicy
 from hitchopt.exports.verification import Flown, Verdict, verify
@@ -444,7 +444,7 @@ def _written(kind: Format, folder: Path, task: ExportTask) -> FormatOutput:
     except (HitchoptError, OSError):
         raise
     except Exception as error:
-        if f"{type(kind).__module__}:{type(kind).__name__}" in HOMES.values():
+        if kind.name in HOMES:
             raise  # a fault of hitchopt
         words = " ".join(f"{type(error).__name__}: {error}".split())
         raise UnsupportedError(f"the format {kind.name} failed to write: {words}") from error
@@ -559,7 +559,10 @@ def _scratch_folder(place: Path) -> Iterator[Path]:
 
 def _is_file(place: Path, kind: Format) -> bool:
     """Return whether a path is that of a single file, by its suffix."""
-    return place.suffix.lower() in {*ENDINGS, *kind.endings} and not place.is_dir()
+    suffix = place.suffix.lower()
+    if not suffix or place.is_dir():
+        return False
+    return suffix in kind.endings or suffix in own_endings()
 
 
 def _move_exports(

@@ -18,7 +18,7 @@ from hitchopt.errors import InputError, UnsupportedError, contained
 from hitchopt.exports.contents import FileContents
 from hitchopt.exports.firmware import refuse_controllers
 from hitchopt.exports.held_tension import REST_TIME, held_tension
-from hitchopt.exports.options import STORAGES, ExportOptions, registered_formats
+from hitchopt.exports.options import HOMES, STORAGES, ExportOptions, registered_formats
 from hitchopt.exports.placing import AXES, Fleet, ReferenceFrame
 from hitchopt.hitch import Team
 from hitchopt.motion.flight import Flight
@@ -294,6 +294,11 @@ def usable_formats() -> list[Format]:
         with contained("loading formats"):
             formats.append(_loaded(entry))
     return formats
+
+
+def own_endings() -> tuple[str, ...]:
+    """Return the suffixes of files with trajectories in the formats of hitchopt."""
+    return tuple(sorted({ending for name in HOMES for ending in format_of(name).endings}))
 
 
 def _loaded(entry: EntryPoint) -> Format:

@@ -41,9 +41,8 @@ from hitchopt.exports.contents import (
 )
 from hitchopt.exports.directory import changed_tables
 from hitchopt.exports.firmware import SETTINGS, mapping_at, settings_findings
-from hitchopt.exports.format import Format, format_of, usable_formats
+from hitchopt.exports.format import Format, format_of, own_endings, usable_formats
 from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, SHOW_LIMITS
-from hitchopt.exports.options import ENDINGS
 from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
@@ -230,13 +229,14 @@ def _trajectory_files(path: Path, formats: Sequence[Format]) -> list[Path]:
     its exports have other files too, such as crazyflies.yaml.
     """
     content = sorted(path.iterdir()) if path.is_dir() else [path]
-    others = [ending for kind in formats for ending in kind.endings if ending not in ENDINGS]
-    for endings in (ENDINGS, others):
+    own = own_endings()
+    others = [ending for kind in formats for ending in kind.endings if ending not in own]
+    for endings in (own, others):
         files = [each for each in content if each.suffix.lower() in endings]
         if files := [each for each in files if not _is_of_all_formats(each.name)]:
             return files
     suffixes = sorted({file.suffix.lower() or file.name for file in content}) or ["nothing"]
-    read = ", ".join(dict.fromkeys((*ENDINGS, *others)))
+    read = ", ".join(dict.fromkeys((*own, *others)))
     raise FileError(f"{path}: only files of {read} are read; it contains {', '.join(suffixes)}")
 
 

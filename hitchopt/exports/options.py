@@ -31,10 +31,7 @@ HOMES = {
     "gltf": "hitchopt.exports.formats.gltf:Gltf",
     "mjcf": "hitchopt.lab.simulation.mjcf:Mjcf",
 }
-"""Module and class of every format of hitchopt; ``pyproject.toml`` registers the same."""
-
-ENDINGS = (".bin", ".csv", ".db3", ".glb", ".mcap", ".parquet", ".skyc", ".xml")
-"""Suffixes of files with trajectories in the formats of hitchopt."""
+"""Module and class of every format of hitchopt; the class has all other facts."""
 
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of bags, and their suffixes
 ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}  # Versions of bags' metadata; all read 8

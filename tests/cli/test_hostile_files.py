@@ -15,7 +15,7 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.cli.output import echo
-from hitchopt.exports.options import ENDINGS
+from hitchopt.exports.format import own_endings
 from hitchopt.storage.yaml_file import MAX_KEYS
 from tests.helpers.commands import TRIANGLE, refused, run
 from tests.helpers.plans import PROBLEMS
@@ -58,7 +58,7 @@ COMMANDS = {
         "lint a.csv",
     ),
     "a.c3d": ("evaluate a.c3d",),
-    **{f"a{ending}": (f"lint a{ending}",) for ending in ENDINGS if ending != ".csv"},
+    **{f"a{ending}": (f"lint a{ending}",) for ending in own_endings() if ending != ".csv"},
     "logs/cf1.ulg": ("evaluate logs/cf1.ulg",),
     "study.yaml": ("sweep study.yaml",),
     "outline.svg": ("fit outline.svg --robots 3",),
