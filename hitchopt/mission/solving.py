@@ -250,7 +250,8 @@ def _plan_steps(
         motions.append(plan.motion)
         state = plan.after
     motion = concatenated(motions)
-    motion = replace(motion, requirements=requirements)
+    if motion.requirements is not requirements:
+        motion = motion.replaced(requirements=requirements)
     certificate = merged(motion, [plan.certificate for plan in plans])
     if not certificate.certified:
         if start is not None:

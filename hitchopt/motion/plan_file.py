@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,27 +119,47 @@ def _settings(saved: SavedPlan) -> dict[str, Any]:
     return settings
 
 
+_DIGESTS: WeakKeyDictionary[Motion, bytes] = WeakKeyDictionary()
+"""Digests of motions that this process has computed."""
+
+
 def flight_digest(flight: Flight) -> str:
     """Return the SHA-256 of the curves and records of a flight, as plan files store them."""
     found = hashlib.sha256()
     for folder, teams in ((GROUPS, flight.teams), (OTHERS, flight.others)):
         for flown in teams:
-            found.update(f"{folder}{json.dumps(_head(flown))}".encode())
-            for name, array in _arrays(flown.motion).items():
-                found.update(f"{name}{array.shape}".encode())
-                found.update(array.tobytes())
+            found.update(json.dumps([folder, flown.name, flown.plan, flown.digest]).encode())
+            found.update(_motion_digest(flown.motion))
     return found.hexdigest()
+
+
+def _motion_digest(motion: Motion) -> bytes:
+    """Return the SHA-256 of the curves and records of a motion, computed only once."""
+    if motion not in _DIGESTS:
+        found = hashlib.sha256(json.dumps(_records(motion)).encode())
+        for name, array in _arrays(motion).items():
+            found.update(f"{name}{array.shape}".encode())
+            found.update(array.tobytes())
+        _DIGESTS[motion] = found.digest()
+    return _DIGESTS[motion]
 
 
 def _head(flown: TeamMotion) -> dict[str, Any]:
     """Return a team, or one of an external plan, without its arrays, as JSON values."""
-    motion = flown.motion
+    records = _records(flown.motion)
+    return {"name": flown.name, "plan": flown.plan, "digest": flown.digest, "records": records}
+
+
+def _records(motion: Motion) -> dict[str, Any]:
+    """Return the records of a motion as JSON values."""
     requirements = replace(motion.requirements, objects=objects_at(motion))
     phases = with_cables(motion.phases, motion.team.labels)
-    records = encoded(Records(motion.team.of_problem, requirements, phases, motion.assignment))
+    records: dict[str, Any] = encoded(
+        Records(motion.team.of_problem, requirements, phases, motion.assignment)
+    )
     for name in PLANNER_ONLY:
         del records["requirements"][name]
-    return {"name": flown.name, "plan": flown.plan, "digest": flown.digest, "records": records}
+    return records
 
 
 def _arrays(motion: Motion) -> dict[str, NDArray[np.float64]]:
