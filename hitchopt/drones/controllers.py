@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import Array, check_choice, form_of, plain, positive, units
+from hitchopt.values import SCALAR, Array, check_choice, form_of, plain, positive, units
 from hitchopt.values.fields import (
     Key,
     Kind,
@@ -63,12 +63,11 @@ TRACKING_EXPONENT = 0.6
 
 def _pair(quantity: Kind) -> Kind:
     """Return the kind of a pair of gains, horizontal and vertical; one number sets both."""
-    both = one_or_each(quantity, 2, 2)
+    both = replace(one_or_each(quantity, 2, 2), accepted=(SCALAR, "[level, upright]"))
 
     def check(key: str, value: Any) -> Pair:
         if form_of(plain(key, value)) not in both.forms:
-            bound = "a number, or [level, upright]"
-            raise InputError(key, value, bound, "specify one or two numbers")
+            raise InputError(key, value, both.bound, "specify one or two numbers")
         gains = both.check(key, value)
         level, upright = gains if isinstance(gains, list) else (gains, gains)
         return level, upright

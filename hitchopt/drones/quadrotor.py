@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
@@ -22,7 +22,6 @@ from hitchopt.drones.controllers import (
 )
 from hitchopt.errors import InputError, OneLine
 from hitchopt.values import (
-    LIST,
     MAPPING,
     bounded_points,
     check_instance,
@@ -148,7 +147,7 @@ def _trim(key: str, value: Any) -> Pair:
     return x, y
 
 
-TRIM = Kind((LIST,), _trim, points((2,), "x, y", largest=MAX_TRIM).schema, "m")
+TRIM = replace(points((2,), "x, y", largest=MAX_TRIM), check=_trim, unit="m")
 """Trims in files: [x, y]."""
 
 

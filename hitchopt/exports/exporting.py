@@ -56,7 +56,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import SavedPlan, write_plan
 from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.storage.yaml_file import parse_yaml
-from hitchopt.values import Array
+from hitchopt.values import Array, alternatives
 from hitchopt.values.fields import with_fields
 
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
@@ -126,7 +126,7 @@ def export_flight(
         raise InputError("rate", options.rate, bound, "it does not sample")
     frame = ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw)
     if frame.name not in kind.frames:
-        bound = f"one of {', '.join(kind.frames)} for {kind.name}"
+        bound = f"{alternatives(kind.frames)} for {kind.name}"
         raise InputError("frame", frame.name, bound, f"omit it for {kind.frames[0]}")
     if options.fleet is None:
         fleet = placeholder_fleet(roles, dotted=kind.dotted)

@@ -17,6 +17,7 @@ from hitchopt.drones.firmware import Parameters, firmware_parameters, px4_parame
 from hitchopt.errors import InputError
 from hitchopt.exports.contents import Finding, error, warning
 from hitchopt.hitch import Quadrotor, Team
+from hitchopt.values import alternatives
 
 SETTINGS = "crazyflies.yaml"  # File of a fleet's robots and their parameters
 
@@ -26,7 +27,7 @@ PARAMETER_TOLERANCE = 1e-5  # Relative tolerance of parameters in single precisi
 def refuse_controllers(team: Team, supported: Collection[str], receiver: str) -> None:
     """Raise InputError if a team has a named controller that a receiver does not support."""
     for name in {kind.controller for kind in team.quadrotor} - {None, *supported}:
-        bound = f"one of {', '.join(supported)} for {receiver}"
+        bound = f"{alternatives([*supported])} for {receiver}"
         remedy = "plan for one of them, or without a controller, by mass and max_thrust"
         raise InputError("team.quadrotor.controller", name, bound, remedy)
 

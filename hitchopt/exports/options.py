@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Annotated
 
 from hitchopt.errors import InputError
-from hitchopt.values import SCALAR
+from hitchopt.values import SCALAR, finite
 from hitchopt.values.fields import FLAGS, Key, Kind, Record, documented, points, words
 from hitchopt.values.units import ANGLE, DAMPING, NUMBER, STIFFNESS
 
@@ -50,14 +49,15 @@ def registered_formats() -> dict[str, EntryPoint]:
     return formats
 
 
-def checked_rate(rate: float) -> float:
-    """Return the rate [Hz]; raises InputError if it is out of range."""
-    if not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
-        raise InputError("rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
-    return rate
+def checked_rate(rate: object, key: str = "rate") -> float:
+    """Return the rate [Hz]; raises InputError if it is no number or out of range."""
+    number = finite(key, rate)
+    if not 0.0 < number <= MAX_RATE:
+        raise InputError(key, rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
+    return number
 
 
-RATE = Kind((SCALAR,), lambda _, rate: checked_rate(rate), {"type": "number"}, "Hz")
+RATE = Kind((SCALAR,), lambda key, rate: checked_rate(rate, key), {"type": "number"}, "Hz")
 
 
 @documented

@@ -85,17 +85,23 @@ def form_of(value: object) -> str:
     return next((form for kinds, form, _ in _FORMS if isinstance(value, kinds)), "")
 
 
+def alternatives(words: Sequence[str]) -> str:
+    """Return a list of words, the last one after "or"."""
+    *others, last = words
+    return f"{', '.join(others)} or {last}" if others else last
+
+
 def form_error(key: str, value: object, *bounds: str) -> InputError:
     """Return the error for a value that has none of the forms ``bounds``."""
     remedy = next((remedy for _, form, remedy in _FORMS if form in bounds), "write a list")
     digits = value if SCALAR in bounds and isinstance(value, str) else ""
     if value is None:
-        remedy = "set a value, or omit it"
+        remedy = "set a value"
     elif re.fullmatch(r"[-+]?[\d.]+(e-?\d+)?", digits):
         remedy = "remove the quotes"
     elif re.fullmatch(r"[-+]?\d+,\d+", digits):
         remedy = f"write {digits.replace(',', '.')}: decimals have a point"
-    return InputError(key, value, " or ".join(bounds), remedy)
+    return InputError(key, value, alternatives(bounds), remedy)
 
 
 def check_instance(key: str, value: object, *kinds: type) -> None:
@@ -177,7 +183,7 @@ def check_choice(key: str, value: object, names: Sequence[str]) -> None:
     """Raise InputError unless ``value`` is one of ``names``."""
     if not isinstance(value, str) or value not in names:
         remedy = closest_word(str(value), names, "choose one of them")
-        raise InputError(key, value, f"one of {', '.join(names)}", remedy)
+        raise InputError(key, value, alternatives(names), remedy)
 
 
 def text(key: str, value: object) -> str:

@@ -45,6 +45,7 @@ from hitchopt.values import (
     WORD,
     ByValue,
     Points,
+    alternatives,
     bounded_points,
     closest_word,
     finite,
@@ -76,6 +77,15 @@ class Kind:
     schema: Any
     unit: str = ""  # unit of its numbers
     degrees: Kind | None = None  # the kind with angles in degrees; None for other kinds
+    accepted: tuple[str, ...] = ()  # what messages call its values; by default their forms
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "accepted", self.accepted or self.forms)
+
+    @property
+    def bound(self) -> str:
+        """What values are, in the message on what is none."""
+        return alternatives(self.accepted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +104,19 @@ class Key:
         """Kind of its values in files."""
         return self.kind.degrees or self.kind
 
+    def check_given(self, kind: Kind, key: str, value: Any) -> None:
+        """Raise InputError for None in place of a value of a kind that can be omitted."""
+        if value is None and self.default is not EMPTY:
+            raise InputError(key, None, kind.bound, "set a value, or omit it")
+
     def from_file(self, key: str, value: Any) -> Any:
         """Return the field's value for a value in a file; errors explain the key's meaning."""
         try:
+            self.check_given(self.file_kind, key, value)
             checked = self.file_kind.check(key, value)
         except InputError as error:
-            if error.key != key or form_of(value) in self.file_kind.forms:
+            has_form = form_of(value) in self.file_kind.forms
+            if error.key != key or (has_form and error.bound != self.file_kind.bound):
                 raise
             remedy = f"{error.remedy} ({self.described(self.file_kind)})"
             raise InputError(key, value, error.bound, remedy) from None
@@ -150,9 +167,10 @@ def store(record: object, **values: Any) -> None:
     """
     keys = keys_of(type(record))
     for name, value in values.items():
-        key = keys.get(name)
-        unchecked = key is None or (value is None and key.default is None)
-        stored = value if key is None or unchecked else key.kind.check(name, value)
+        key, stored = keys.get(name), value
+        if key is not None and not (value is None and key.default is None):
+            key.check_given(key.kind, name, value)
+            stored = key.kind.check(name, value)
         object.__setattr__(record, name, stored)
 
 
@@ -402,11 +420,20 @@ def mapping_schema(
 def integers(minimum: int, maximum: int) -> Kind:
     """Return the kind of integers in a range."""
     schema = {"type": "integer", "minimum": minimum, "maximum": maximum}
-    return Kind((SCALAR,), lambda key, value: integer(key, value, minimum, maximum), schema)
+    return Kind(
+        (SCALAR,),
+        lambda key, value: integer(key, value, minimum, maximum),
+        schema,
+        accepted=("an integer",),
+    )
 
 
 FLAGS = Kind((FLAG,), flag, {"type": "boolean"})  # True or false
 ANYTHING = Kind((SCALAR, LIST, WORD, FLAG, MAPPING), lambda _, value: value, {})  # Any plain data
+
+
+CHOOSE = "choose one of them"
+"""Remedy for a value other than the valid ones, if there are several."""
 
 
 def words(*names: str | bool, **values: Any) -> Kind:
@@ -420,12 +447,12 @@ def words(*names: str | bool, **values: Any) -> Kind:
             return value_of[value]
         if values and type(value) is int and value in values.values():
             return value
-        bound = " or ".join(valid) if len(valid) < 3 else f"one of {', '.join(valid)}"
-        fallback = f"write {valid[0]}" if len(valid) == 1 else "choose one of them"
+        fallback = f"write {valid[0]}" if len(valid) == 1 else CHOOSE
         remedy = closest_word(value, valid, fallback) if isinstance(value, str) else fallback
-        raise InputError(key, value, bound, remedy)
+        raise InputError(key, value, alternatives(valid), remedy)
 
-    return Kind(tuple(dict.fromkeys(map(form_of, value_of))), check, {"enum": list(value_of)})
+    forms = tuple(dict.fromkeys(map(form_of, value_of)))
+    return Kind(forms, check, {"enum": list(value_of)}, accepted=tuple(valid))
 
 
 def strings(max_length: int, min_length: int = 0, pattern: str = ".*", bound: str = "") -> Kind:
@@ -441,7 +468,8 @@ def strings(max_length: int, min_length: int = 0, pattern: str = ".*", bound: st
         return string
 
     schema: Schema = {"type": "string", "minLength": min_length, "maxLength": max_length}
-    return Kind((WORD,), check, schema | ({"pattern": f"^{pattern}$"} if bound else {}))
+    schema |= {"pattern": f"^{pattern}$"} if bound else {}
+    return Kind((WORD,), check, schema, accepted=("a string",))
 
 
 def titles(max_length: int) -> Kind:
@@ -468,12 +496,17 @@ def points(
     largest: largest coordinate [m].
     """
 
+    def words_of(shape: tuple[int | None, ...]) -> str:
+        """Return what messages call an array of a shape."""
+        if len(shape) == 1:
+            return f"a point [{entry}]"
+        at_least = f"at least {min_length} " if min_length > 1 else ""
+        return f"a list of {f'{shape[0]} ' if shape[0] else at_least}points [{entry}]"
+
     def numbers(key: str, value: Any, shape: tuple[int | None, ...]) -> Any:
         if not shape:
             return finite(key, value)
-        count, point = shape[0], f"a point [{entry}]"
-        bound = f"a list of {count or f'at least {min_length}'} points [{entry}]"
-        bound = point if len(shape) == 1 else bound
+        count, bound = shape[0], words_of(shape)
         value = plain(key, value)
         value = value.tolist() if isinstance(value, np.ndarray) else value
         if not isinstance(value, list | tuple):
@@ -497,7 +530,7 @@ def points(
         lowest, highest = (min_length, max_length) if count is None else (count, count)
         size = {"minItems": lowest} | ({} if highest is None else {"maxItems": highest})
         schema = {"type": "array", "items": schema, **size}
-    return Kind((LIST,), check, schema)
+    return Kind((LIST,), check, schema, accepted=(words_of(shape),))
 
 
 def list_of(kind: Kind, min_length: int = 0, max_length: int | None = None) -> Kind:
@@ -508,8 +541,8 @@ def list_of(kind: Kind, min_length: int = 0, max_length: int | None = None) -> K
         if not isinstance(value, list | tuple | np.ndarray):
             raise form_error(key, value, LIST)
         if len(value) < min_length:
-            bound = f"a list of at least {min_length} entries"
-            raise InputError(key, value, bound, "make it longer")
+            fewest = "one entry" if min_length == 1 else f"{min_length} entries"
+            raise InputError(key, value, f"a list of at least {fewest}", "make it longer")
         if max_length is not None and len(value) > max_length:
             bound = f"a list of at most {max_length} entries"
             raise InputError(key, f"{len(value)} entries", bound, "shorten it")
@@ -523,19 +556,26 @@ def list_of(kind: Kind, min_length: int = 0, max_length: int | None = None) -> K
 def either(*kinds: Kind) -> Kind:
     """Return the union of kinds whose forms differ."""
     forms = {form: kind for kind in reversed(kinds) for form in kind.forms}
+    accepted = tuple(dict.fromkeys(words for kind in kinds for words in kind.accepted))
 
     def check(key: str, value: Any) -> Any:
         value = plain(key, value)
-        if (form := form_of(value)) not in forms:
-            bounds = dict.fromkeys(form for kind in kinds for form in kind.forms)
-            raise form_error(key, value, *bounds)
-        return forms[form].check(key, value)
+        kind = forms.get(form_of(value))
+        if kind is None:
+            raise form_error(key, value, *accepted)
+        try:
+            return kind.check(key, value)
+        except InputError as error:
+            if (error.key, error.bound) != (key, kind.bound):
+                raise
+            remedy = closest_word(value, accepted, CHOOSE) if isinstance(value, str) else CHOOSE
+            raise InputError(key, value, alternatives(accepted), remedy) from None
 
     degrees = None
     if any(kind.degrees for kind in kinds):
         degrees = either(*(kind.degrees or kind for kind in kinds))
     unit = next((kind.unit for kind in kinds if kind.unit), "")
-    return Kind(tuple(forms), check, {"oneOf": list(kinds)}, unit, degrees)
+    return Kind(tuple(forms), check, {"oneOf": list(kinds)}, unit, degrees, accepted)
 
 
 def one_or_each(kind: Kind, min_length: int, max_length: int) -> Kind:

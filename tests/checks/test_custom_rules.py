@@ -251,7 +251,7 @@ def test_vectors_that_vanish_have_any_angle() -> None:
     [
         ({"name": "Leg angle"}, "name = 'Leg angle': must be lower-case letters"),
         ({"unit": ""}, "unit = '': must be of 1 to 16 characters"),
-        ({"sense": "below"}, "sense = 'below': must be one of min, max"),
+        ({"sense": "below"}, "sense = 'below': must be min or max"),
         ({"limit": math.nan}, "limit = nan: must be finite"),
         ({"limit": "30"}, "limit = '30': must be a number"),
         ({"over": ho.Motion}, "must be hitchopt.DroneSpans, hitchopt.VertexSpans or"),

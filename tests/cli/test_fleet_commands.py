@@ -111,7 +111,7 @@ def test_frames_origin_yaw_fleet_and_the_usual_place(plan: Path, place: Path) ->
         ("--format npz", "did you mean csv?"),
         ("--format xyz", "hitchopt export lists them"),
         ("--format csv --frame up", "'up' is not one of"),
-        ("--format mavsdk_drone_show --frame enu", "must be one of ned for mavsdk"),
+        ("--format mavsdk_drone_show --frame enu", "must be ned for mavsdk"),
         ("--format csv --rate 0", "--rate = 0.0: must be above 0"),
         ("--format skybrush --rate 10", "it does not sample"),
         ("--format csv --stretch 0.9", "--stretch = 0.9: must be from 1"),

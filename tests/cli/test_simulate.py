@@ -189,7 +189,7 @@ def test_a_flight_that_is_invalid_ends_with_3(solved: Path) -> None:
         ("simulate --estimator crazyflie", "--estimator = 'crazyflie': must be omitted for this"),
         ("simulate --drones crazyfly", "'crazyfly' is not one of 'crazyflie', 'px4'"),
         ("statics --at -1", "t = "),
-        ("statics --error cable=1cm", "--error cable = '1cm': must be a number, or sd:number"),
+        ("statics --error cable=1cm", "--error cable = '1cm': must be a number or sd:number"),
         ("statics --perturb cable_length=[2.4,x]", "--perturb cable_length[1] = 'x'"),
         ("statics --perturb stiffness=-1", "--perturb stiffness = -1: must be"),
     ],

@@ -324,7 +324,7 @@ def test_bags_are_readable_by_releases(distro: str | None, storage: str, tmp_pat
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("ros_distro", "foxy", "ros_distro = 'foxy': must be one of humble, iron, jazzy"),
+        ("ros_distro", "foxy", "ros_distro = 'foxy': must be humble, iron or jazzy"),
         ("storage", "tape", "storage = 'tape': must be mcap or sqlite3"),
     ],
 )

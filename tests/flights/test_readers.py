@@ -244,7 +244,7 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
         ho.read_flight(tmp_path / "none")
     with pytest.raises(FileError, match="contains no file: no recording; name a table of Motive"):
         ho.read_flight(tmp_path)
-    with pytest.raises(ho.InputError, match="unit = 'miles': must be one of m, cm, mm"):
+    with pytest.raises(ho.InputError, match="unit = 'miles': must be m, cm, mm, in or ft"):
         ho.read_flight(tmp_path, unit="miles")
     with pytest.raises(FileError, match="a format with fixed units; omit unit="):
         ho.read_flight(w.write_usd(tmp_path / "logs", flight_for("log")), unit="mm")

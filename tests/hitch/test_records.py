@@ -49,7 +49,7 @@ REFUSED: list[Refusal] = [
     (lambda: Limits(tilt=45), "tilt", f"tilt = 45: {DEGREES}"),
     (lambda: SwapSettings(tilt=1.6), "tilt", "below 1.571 rad; if degrees were meant, 0.0279"),
     (lambda: SwapSettings(radius=0.0), "radius", "greater than 0"),
-    (lambda: SwapSettings(sense=2), "sense", "must be one of up, down, auto"),
+    (lambda: SwapSettings(sense=2), "sense", "must be up, down or auto"),
     (lambda: Separation(radius=-0.1), "radius", "greater than 0"),
     (lambda: Separation(cable=-0.1), "cable", "at least 0"),
     (lambda: Arena([0, 0, 0], [1, 1]), "upper", "point"),

@@ -28,7 +28,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import HOVER, attitudes
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, alternatives
 from hitchopt.values.fields import with_fields
 
 QUANTUM = 1e-3  # Resolution of a full-state packet [m], [m/s], [m/s²], [rad/s]
@@ -108,7 +108,7 @@ def _of_drones(task: Task, settings: Settings) -> Settings:
             return settings
         controller = kind.controllers[0]
     if controller not in kind.controllers:
-        bound = f"one of {', '.join(kind.controllers)} with drones={name}"
+        bound = f"{alternatives(kind.controllers)} with drones={name}"
         raise InputError("controller", controller, bound, "omit one of the two")
     estimator = settings.estimator or kind.estimator
     return replace(settings, controller=controller, estimator=estimator)

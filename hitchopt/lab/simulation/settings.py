@@ -21,12 +21,11 @@ from hitchopt.drones.controllers import (
 )
 from hitchopt.errors import InputError, OneLine
 from hitchopt.support import Feature, Neighbour, refused_value
-from hitchopt.values import WORD, nonnegative
+from hitchopt.values import nonnegative
 from hitchopt.values.fields import (
     ANYTHING,
     FLAGS,
     Key,
-    Kind,
     Record,
     integers,
     keys_of,
@@ -62,11 +61,12 @@ def _estimator(key: str, value: object) -> EstimatorParameters | str:
     """Return parameters as they are, and a name of ESTIMATORS."""
     if isinstance(value, EstimatorParameters):
         return value
-    name: str = words(*ESTIMATORS).check(key, value)
+    name: str = _NAMES.check(key, value)
     return name
 
 
-ESTIMATOR = Kind((WORD,), _estimator, {"enum": [*ESTIMATORS]})
+_NAMES = words(*ESTIMATORS)
+ESTIMATOR = replace(_NAMES, check=_estimator)
 
 
 @dataclass(frozen=True)

@@ -77,14 +77,14 @@ class ErrorSize(OneLine):
         try:
             size = float(given.removeprefix(PREFIX)) if isinstance(given, str) else given
         except ValueError:
-            raise InputError(key, given, "a number, or sd:number", f"write {PREFIX}0.01") from None
+            raise InputError(key, given, ERROR_SIZE.bound, f"write {PREFIX}0.01") from None
         name = "deviation" if isinstance(given, str) and given.startswith(PREFIX) else "bound"
         return cls(**{name: nonnegative(key, size)})
 
 
 Sizes = dict[str, ErrorSize]  # By "cable", "position" and "force"
 
-ERROR_SIZE = Kind((SCALAR, WORD), ErrorSize.of, {})
+ERROR_SIZE = Kind((SCALAR, WORD), ErrorSize.of, {}, accepted=(SCALAR, f"{PREFIX}number"))
 
 ERROR_KEYS = {
     "cable": Key(ERROR_SIZE, "Error of cable lengths [m]", default=0.01),
