@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -240,6 +239,8 @@ def morphs(
     ------
     InputError: an argument is invalid.
     """
+    from concurrent.futures import ProcessPoolExecutor, as_completed  # heavy
+
     given = [(*_pair(i, each), options) for i, each in enumerate(sequence("pairs", pairs))]
     count = os.cpu_count() or 1 if workers is None else integer("workers", workers, 1)
     with ExitStack() as stack:
