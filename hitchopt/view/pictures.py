@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from io import BytesIO
+from itertools import groupby
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -57,7 +58,7 @@ LINE_HEIGHT = 11.0  # Height of a line of text [points]
 # Maximum worst value that is drawn: larger ones mean that nothing was counted or bounded
 MAX_DRAWN = 1e9
 CHARACTER_WIDTH = 4.3  # Width of a character of a phase's name [points]
-SLANTED_WIDTH = 12.4  # Width of a line of text at 45° [points]
+SLANTED_WIDTH = 13.5  # Width of a line of text at 45° [points]
 MAX_CHARACTERS = 18  # Maximum number of characters of a slanted line
 CLOSE_SIZE = (10.0, 4.8)  # Width and height of the figure of the closest neighbours [inch]
 CLOSE_SAMPLES = 800  # Number of points of a curve in that figure
@@ -295,8 +296,9 @@ def plot_from_above(flight: Flight, axes: Axes | None) -> Axes:
 def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
     """Shade every other phase on all axes, and write their names above the first.
 
-    Names of short phases are slanted, and moved apart where they would overlap; if they do not fit,
-    those of the longest phases are written. Long lines are cut at the start. Nothing is drawn after
+    Phases of one name in sequence, such as ``swap 1`` and ``swap 2``, are named together. Names of
+    short phases are slanted, and moved apart where they would overlap; if they do not fit, those of
+    the longest phases are written. Long lines are cut at the start. Nothing is drawn after
     ``duration`` [s], where the axes end.
     """
     figure: Any = axes[0].figure
@@ -304,7 +306,8 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
     phases = [phase.retimed(phase.start, min(phase.end, duration)) for phase in flown]
     per_point = duration / (72.0 * figure.get_size_inches()[0] * axes[0].get_position().width)
     character = CHARACTER_WIDTH * per_point
-    level = all(p.end - p.start > character * (len(p.name) + 1) for p in phases)
+    named = _named_together(phases)
+    level = all(p.end - p.start > character * (len(p.name) + 1) for p in named)
     for i, phase in enumerate(phases):
         for each in axes if i else ():
             each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
@@ -312,19 +315,28 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
                 each.axvspan(phase.start, phase.end, color="0.93", linewidth=0, zorder=-1)
     look: Any = {"xycoords": axes[0].get_xaxis_transform(), "parse_math": False}
     if level:
-        for phase in phases:
+        for phase in named:
             middle = 0.5 * (phase.start + phase.end)
             write(axes[0], phase.name, (middle, 1.0), (0, 4), **look)
         return
-    angle = 30 if any(", " in phase.name for phase in phases) else 45
+    angle = 30 if any(", " in phase.name for phase in named) else 45
     look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
-    for phase, place, lines in _placed_names(phases, duration, SLANTED_WIDTH * per_point):
+    for phase, place, lines in _placed_names(named, duration, SLANTED_WIDTH * per_point):
         middle = 0.5 * (phase.start + phase.end)
         stem = axes[0].get_xaxis_transform()
         axes[0].plot(
             [middle, place], [1.0, 1.05], color="0.6", linewidth=0.7, transform=stem, clip_on=False
         )
         write(axes[0], "\n".join(lines), (place, 1.05), (0, 2), **look)
+
+
+def _named_together(phases: Sequence[Phase]) -> list[Phase]:
+    """Return phases of which those in sequence that differ by a number at most are one."""
+    named = list[Phase]()
+    for kind, group in groupby(phases, lambda phase: phase.name.rstrip(" 0123456789")):
+        first, *others = group
+        named.append(replace(first, name=kind, end=others[-1].end) if others else first)
+    return named
 
 
 def _placed_names(

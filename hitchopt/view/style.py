@@ -259,7 +259,7 @@ def from_zero(axes: Axes, headroom: float = 0.1, values: Array | None = None) ->
     top = axes.dataLim.y1 if axes.dataLim.y1 > 0.0 else 1.0
     if values is not None and values.size:
         usual = PEAK_RATIO * float(np.percentile(values, USUAL_PERCENTILE))
-        if 0.0 < usual < top:
+        if 0.0 < (1.0 + headroom) * usual < top:
             write(
                 axes,
                 f"up to {top:.3g}",

@@ -209,6 +209,28 @@ def test_a_short_peak_of_the_tension_does_not_flatten_all_others() -> None:
     axes = drawn_flight(simulation, ho.Flight.of(motion)).axes[-2]
     assert axes.get_ylim()[1] < 0.1 * 181.0
     assert "up to 181" in [text.get_text() for text in axes.texts]
+    record.tensions[len(record.t) // 2, 0] = 2.05 * np.percentile(record.tensions, 99.0)
+    shown = drawn_flight(simulation, ho.Flight.of(motion)).axes[-2]
+    assert not any("up to" in text.get_text() for text in shown.texts)
+
+
+def test_no_line_joins_errors_across_times_without_a_hitch() -> None:
+    simulation, motion = flight_with(), ho.solve(HITCH, ho.Hold(2.0)).motion
+    t = simulation.errors.t
+    tied = (t < 0.5) | (t > 1.5)
+    names = ("t", "rows", "planned", "offsets", "moving")
+    parts = {name: getattr(simulation.errors, name)[tied] for name in names}
+    retied = replace(simulation, errors=replace(simulation.errors, **parts))
+    lines = drawn_flight(retied, ho.Flight.of(motion)).axes[-3].get_lines()
+    errors = [
+        np.asarray(line.get_xdata())
+        for line in lines
+        if line.get_label() in {"p0", "p1", "p2", "p3"}
+    ]
+    assert len(errors) == 4
+    for times in errors:
+        assert np.nanmax(np.diff(times)) < 0.02
+        assert np.sum(np.isnan(times)) == 1
 
 
 def test_setpoints_without_a_plan_are_saved_with_a_motion_to_draw(tmp_path: Path) -> None:

@@ -302,6 +302,17 @@ def test_names_of_many_short_phases_are_all_written_apart() -> None:
     assert 0.0 <= min(places) <= max(places) <= 3.1
 
 
+def test_phases_that_differ_by_a_number_are_named_together() -> None:
+    names = ["approach", "turn", "turn", "turn", "swap 1", "swap 2", "land"]
+    phases = [Phase(name, i, float(i), i + 1.0) for i, name in enumerate(names)]
+    for width, is_slanted in ((3.5, True), (30.0, False)):
+        axes = new_figure((width, 2.0)).add_subplot()
+        draw_phases([axes], phases, 7.0)
+        texts = [text for text in axes.texts if isinstance(text, Annotation)]
+        assert [text.get_text() for text in texts] == ["approach", "turn", "swap", "land"]
+        assert all((text.get_rotation() > 0.0) is is_slanted for text in texts)
+
+
 def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
     path = tmp_path / "summary.png"
     arguments = ho.Flight.of(make_motion(3)), made_certificate()

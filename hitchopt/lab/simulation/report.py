@@ -427,8 +427,8 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
     colours = [colour for _, cables in looks for colour in cables]
     top, middle, bottom = plots
     for c, (point, k) in enumerate(zip(team.layout.clasps, team.layout.ahead, strict=True)):
-        values = 100.0 * errors.errors[:, c]
-        top.plot(errors.t, values, color=colours[k], lw=1.2, label=team.point_names[point])
+        t, values = _interrupted(errors.t, 100.0 * errors.errors[:, c])
+        top.plot(t, values, color=colours[k], lw=1.2, label=team.point_names[point])
     if errors.t.size and len(team.layout.clasps) <= MAX_LABELS:
         top.legend(fontsize="small", ncols=MAX_LABELS, frameon=False)
     samples = max(1, round(MEAN_TIME * len(record.t) / end))
@@ -458,6 +458,15 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
     bottom.set_xlabel("t [s]; hatched: rest and pull test")
     # A fixed number of ticks: with more of them after the layout, the last label would be clipped.
     bottom.locator_params("x", nbins=7, steps=[1, 2, 5, 10])
+
+
+def _interrupted(t: Array, values: Array) -> tuple[Array, Array]:
+    """Return samples with nan in between where some are missing, so that no line joins them."""
+    if t.size < 2:
+        return t, values
+    steps = np.diff(t)
+    gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
+    return np.insert(t, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
 def ending(simulation: Simulation) -> str:
