@@ -401,7 +401,7 @@ def _rest_of(held: _Held | InfeasibleError) -> ConvexPolygon | InfeasibleError:
 
 
 def _capacity_of(held: _Held | InfeasibleError) -> Capacity:
-    """Return the largest mass that is held, none with an error."""
+    """Return the largest mass that is held; an error means none."""
     return _zero_capacity(held) if isinstance(held, InfeasibleError) else held.heaviest.capacity
 
 

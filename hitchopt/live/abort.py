@@ -446,7 +446,7 @@ def _descent(hitch: Hitch, requirements: Requirements, index: int) -> Motion:
     landed = vertical_motion(hitch, hitch.altitude - depth, requirements, phase)
     height = height_above_floor(landed)
     if height < -CONTACT_GAP:
-        reason = f"landed: cables of the hitch would be {-height:.2g} m below the ground"
+        reason = f"by landing the hitch: its cables would be {-height:.2g} m below the ground"
         raise _refusal(reason, "choose release_and_land, or hold")
     return landed
 
@@ -505,7 +505,7 @@ class AbortTable:
 
     @classmethod
     def unplanned(cls, flight: Flight, how: str, every: float = DEFAULT_INTERVAL) -> AbortTable:
-        """Return the table of a plan before any abort is planned, about ``every`` [s]."""
+        """Return the table of a plan whose aborts, one ``every`` [s] or so, are not planned yet."""
         end, every = flight.duration, positive("every", every)
         return cls(how, (), end, pending=_command_times(end, every), every=every)
 

@@ -229,7 +229,7 @@ class CommandedPlan:
 
 def ahead_planned(table: AbortTable) -> str:
     """Return words on how far a table is planned."""
-    return f"no landing ahead is planned yet, {table.planned:.0%} of the plan are"
+    return f"no landing ahead is planned yet ({table.planned:.0%} of the plan done)"
 
 
 def _player_at(flight: Flight, time: float, rate: float) -> Player:

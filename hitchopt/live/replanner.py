@@ -295,7 +295,7 @@ class Replanner(OneLine):
         return Hitch(team, outline, altitude, task.split(first=True).q_legs[0])
 
     def _past(self, at: float) -> Motion:
-        """Return the current plan until a time, at rest after its end."""
+        """Return the current plan up to a time [s]; after its end the hitch rests."""
         duration, breaks = self.motion.duration, self.motion.drones.breaks
         if at > duration + MIN_PIECE:
             phase = replace(self.motion.phases[-1], name="hold", remark="")

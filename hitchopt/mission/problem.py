@@ -147,7 +147,7 @@ class _ObjectStage:
                 "object", name, f"{self.name}, the one enclosed", "leave that one first"
             )
         if not self.outline_specified and step.moves_points:
-            bound = "given an outline of the file"
+            bound = "an outline that the problem states"
             raise InputError("", "the outline around an object", bound, "morph first")
         specified = getattr(step, "polygon", None) is not None
         specified |= self.outline_specified and not hasattr(step, "object")

@@ -227,7 +227,7 @@ def distances(p: Plan) -> Iterator[Row]:
 
 
 def stated_rules(p: Plan) -> Iterator[Row]:
-    """Yield the custom rules that a file states: not proven, but some violate their own records."""
+    """Yield the custom rules that a file states, unproven; stated values may break their limits."""
     for rule in p.stated:
         worst = np.nan if rule["worst"] is None else float(rule["worst"])
         limit, sense = float(rule["limit"]), rule["sense"]

@@ -748,7 +748,7 @@ def _since(t: Array, events: Array) -> Array:
 
 
 def _bridged(mask: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
-    """Return a mask with gaps between true values up to a time closed."""
+    """Return a mask whose gaps between true values are closed, up to a duration [s]."""
     bridged = mask.copy()
     for start, end in true_runs(~mask):
         if start > 0 and end < len(mask) and end - start <= seconds * RATE:

@@ -59,8 +59,8 @@ WEIGHTLESS = (
 )
 WEIGHTLESS += "can simulate: state team.cable_density, or perturb density"
 HITCHED = (
-    "only the tied hitch is simulated, t = {}, without contacts of drones, cables and objects: "
-    "ropes have these, and tie it"
+    "only the tied hitch is simulated (t = {}), without contacts of drones, cables and objects: "
+    "cables=ropes simulates the rest"
 )
 SEVERAL = "controllers are replaced by the ideal one; choose another with controller="
 NOT_FLOWN = (
