@@ -30,6 +30,7 @@ from hitchopt.planners.carrying.holds import GripHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
     AROUND_SPEED,
+    CLOSING_SPEED,
     LIFT_SPEED,
     GraspState,
     check_opens,
@@ -151,22 +152,22 @@ def altitude_over(task: StepTask, to: Outline) -> float:
     return lowest
 
 
-def at_around_speed(requirements: Requirements) -> Requirements:
-    """Return requirements with the speed limit of hitches around objects."""
+def slowed_to(requirements: Requirements, speed: float) -> Requirements:
+    """Return requirements with a limit of the speed [m/s] of drones and vertices."""
     limits = requirements.limits
     slow = with_fields(
         limits,
-        speed=min(limits.speed, AROUND_SPEED),
-        vertex_speed=min(limits.vertex_speed, AROUND_SPEED),
+        speed=min(limits.speed, speed),
+        vertex_speed=min(limits.vertex_speed, speed),
     )
     return replace(requirements, limits=slow)
 
 
-def requirements_near(task: StepTask, name: str) -> Requirements:
+def requirements_closing(task: StepTask, name: str) -> Requirements:
     """Return requirements at low speed without the object that cables may touch."""
     objects = task.requirements.objects
     others = {other: body for other, body in objects.items() if other != name}
-    return at_around_speed(replace(task.requirements, objects=others))
+    return slowed_to(replace(task.requirements, objects=others), CLOSING_SPEED)
 
 
 @documented
@@ -232,7 +233,7 @@ class Enclose(Step):
         parts = [above.motion]
         near = task.within(requirements, above.after)
         top = max(altitude_over(near, polygon), altitude)
-        slow = at_around_speed(requirements)
+        slow = slowed_to(requirements, AROUND_SPEED)
         for height, within in ((top, requirements), (altitude, slow)):
             if near.hitch.altitude - height >= PLACE_TOLERANCE:
                 down = Transport(np.append(polygon.centroid, height))
@@ -426,7 +427,7 @@ class Grasp(TensionStep):
             key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
             raise RequestError(key, None, bound, "add a rim, or grasp it by: grip")
         judge = hold_judge(task, tension)
-        closing_task = task.within(requirements_near(task, self.object), task.before)
+        closing_task = task.within(requirements_closing(task, self.object), task.before)
 
         def held(closing: Closing, reserve: float) -> StepPlan:
             """Return the plan that closes the hitch below the rim and rises to it."""
@@ -602,7 +603,7 @@ class Loosen(Step):
         held = replace(freed, hold=hold)
         low = task.plan_with_object(sinking, held, body.place, planner.gap).after
         around = Morph(polygon_at(body, freed.polygons.around))
-        opening = around.plan(task.within(requirements_near(task, self.object), low))
+        opening = around.plan(task.within(requirements_closing(task, self.object), low))
         motion = step_motion(self, task, [sinking, opening.motion], sinking.phases[0].hold)
         return StepPlan(motion, replace(opening.after, grasp=freed))
 
@@ -621,7 +622,7 @@ class Leave(Step):
         polygon = task.hitch.polygon
         altitude = max(task.hitch.altitude, altitude_over(task, polygon))
         over = Transport(np.append(polygon.centroid, altitude))
-        plan = over.plan(task.within(at_around_speed(task.requirements), task.before))
+        plan = over.plan(task.within(slowed_to(task.requirements, AROUND_SPEED), task.before))
         motion = step_motion(self, task, [plan.motion])
         return StepPlan(motion, replace(plan.after, grasp=None))
 

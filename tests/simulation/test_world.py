@@ -327,6 +327,22 @@ def test_landed_drones_may_touch_their_own_cable(height: float) -> None:
     assert found == (["q0", "r0"] if height == 1.0 else [])
 
 
+@pytest.mark.parametrize("preset", [FAST, ACCURATE])
+@pytest.mark.parametrize("room", [0.05, 0.002])
+def test_no_link_lies_across_a_rim(preset: Preset, room: float) -> None:
+    """A node on top of a rim and a neighbour below it are farther apart than a link is long.
+
+    With little room above a rim, objects may stand there: it is thin.
+    """
+    section, rim = ho.Section(radius=0.08), ho.Rim(ho.Section(radius=0.21), 0.4)
+    tray = ho.SolidObject(section, 0.0, 0.4 + room, 0.1, rim=rim)
+    world = world_of(1.0, 1.0, preset=preset, objects={"tray": tray})
+    sizes = world.model.geom_size
+    (thickness,) = 2.0 * sizes[(sizes[:, 0] == rim.section.radius) & (sizes[:, 1] < 0.1), 1]
+    lies_across = thickness + preset.diameter < world.ropes.segment_lengths[0]
+    assert lies_across == (room < thickness and preset is FAST)
+
+
 LEG, SIDE, SPEED, FRICTION = 0.4, 0.6, 0.05, 0.3  # Parts of cables [m], and speed [m/s]
 
 # Times at which cables are perpendicular, and tight, when one begins to slide; and times from and

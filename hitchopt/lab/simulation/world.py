@@ -56,7 +56,7 @@ SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in SLIDE_AXES.v
 TINY_INERTIA = (1e-9, 1e-9, 1e-9)
 
 PREFIX = "object "  # Prefix of objects in names of bodies
-RIM_THICKNESS = 0.01  # Above the height of a rim [m]: ropes pass through thin sheets
+RIM_THICKNESS = 0.01  # Smallest one above the height of a rim [m]: ropes pass through thin sheets
 RIGHT_ANGLE = 1e-9  # Largest cosine of a right angle
 
 # Radius of the balls within their bottom and top on which objects stand [m]. Without them, MuJoCo
@@ -386,7 +386,7 @@ def describe(
         content = drone_joints(names[drone], place) + ellipsoid
         bodies += _body(names[drone], place, masses[drone], inertia[drone], content)
     ground_friction = text(np.max(frictions, initial=MIN_GROUND_FRICTION))
-    meshes, things = _describe_objects(objects)
+    meshes, things = _describe_objects(objects, float(np.max(ropes.segment_lengths, initial=0.0)))
     step, ratio = text(ropes.preset.time_step), FRICTION_STIFFNESS_RATIO if objects else 1
     return f"""<mujoco>
         <option timestep="{step}" gravity="0 0 {text(-GRAVITY)}" integrator="Euler"
@@ -418,17 +418,20 @@ def text(values: ArrayLike) -> str:
     return " ".join(f"{x:.17g}" for x in np.atleast_1d(np.asarray(values, dtype=np.float64)))
 
 
-def _describe_objects(objects: dict[str, SolidObject]) -> tuple[str, str]:
-    """Return meshes and bodies of objects in MuJoCo's XML.
+def _describe_objects(objects: dict[str, SolidObject], link: float) -> tuple[str, str]:
+    """Return meshes and bodies of objects in MuJoCo's XML, for ropes with a longest link [m].
 
     An object's friction is that of all its contacts. Its mass is that of a homogeneous prism with
-    the widest of its outlines, without contacts: the mass of a tray is in its rim.
+    the widest of its outlines, without contacts: the mass of a tray is in its rim. Rims are as
+    thick as links are long, up to the object's top: across a thinner one links of steep legs lie
+    with one node on top, which holds the hitch as it opens.
     """
     meshes, bodies = "", ""
     for name, each in objects.items():
         slabs = [(each.section, each.lower, each.upper)]
         if each.rim is not None:
-            slabs.append((each.rim.section, each.rim.height, each.rim.height + RIM_THICKNESS))
+            thickness = max(RIM_THICKNESS, min(link, each.upper - each.rim.height))
+            slabs.append((each.rim.section, each.rim.height, each.rim.height + thickness))
         contact = f'condim="3" friction="{text(each.friction)} 0 0" {CONTACT_SOLVER} mass="0"'
         parts = [
             (*slab, np.zeros(2), f'contype="{OBJECTS}" priority="1" {contact}') for slab in slabs

@@ -34,7 +34,11 @@ LIFT_SPEED = 0.4
 """[m/s] Vertical speed with an object."""
 
 AROUND_SPEED = 0.4
-"""[m/s] Largest speed of hitches around an object, and of clasps that grip it or rise to a rim."""
+"""[m/s] Largest speed of hitches that move around an object, and of clasps that rise to a rim."""
+
+CLOSING_SPEED = 0.25
+"""[m/s] Largest speed of clasps through which cables slide as a hitch closes around an object or
+opens. At 0.4 m/s links of simulated ropes catch and snap by more than five times the tension."""
 
 BELOW_RIM = 0.01
 """[m] Depth of cables below a rim, in addition to ``separation.object``."""
@@ -250,14 +254,14 @@ class MovePlanner:
     def rim_move(self, before: float, after: float) -> Move:
         """Return the move between two depths below the rim [m], one of which is 0."""
         distance = max(before, after)
-        move = self.move(self._law_around(distance), below=(before, after))
+        move = self.move(self._law_around(distance, AROUND_SPEED), below=(before, after))
         return self.within_limits(move)
 
-    def _law_around(self, length: float) -> SmoothLaw:
-        """Return the fastest law of a motion over a length [m] around the object."""
+    def _law_around(self, length: float, speed: float) -> SmoothLaw:
+        """Return the fastest law of a motion over a length [m] at most at a speed [m/s]."""
         limits = self.requirements.limits
         return SmoothLaw.fastest(
-            speed=min(AROUND_SPEED, limits.vertex_speed) / length,
+            speed=min(speed, limits.vertex_speed) / length,
             acceleration=limits.acceleration / length,
             jerk=limits.jerk / length,
         )
@@ -533,7 +537,9 @@ class MovePlanner:
         for before, after in pairwise(closures.tolist()):
             path = hold.travel * abs(after - before)
             # Clasps that are tied where they grip do not move, but their drones may
-            law = self._law_around(path) if path > 1e-6 else LOAD_LAW  # clasps move
+            law = LOAD_LAW
+            if path > 1e-6:  # clasps move
+                law = self._law_around(path, CLOSING_SPEED)
             constant = (friction_share, friction_share)
             move = self.move(law, closure=(before, after), friction_share=constant)
             yield self.within_limits(move)
