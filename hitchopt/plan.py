@@ -33,7 +33,7 @@ from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.support import Feature
-from hitchopt.values import check_instance, flag, integer, nonnegative, path, text
+from hitchopt.values import check_instance, counted, flag, integer, nonnegative, path, text
 from hitchopt.values.fields import suggest_keywords, with_suggestions
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class Plan(OneLine):
         limited = self.certificate.limited
         unproven = self.certificate.not_recomputed
         yield from [short(self.title)] if self.title else []
-        yield f"{len(self.flight.team.drone_names)} drones"
+        yield counted(len(self.flight.team.drone_names), "drone")
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}"
         yield f"{sum(check.holds for check in limited)} of {len(limited)} limits hold"
         yield from [f"{len(unproven)} not recomputed"] if unproven else []

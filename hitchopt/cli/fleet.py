@@ -226,6 +226,7 @@ def _say_report(report: Report) -> None:
     """Print the figures, the findings, and their numbers."""
     from hitchopt.exports.contents import ERROR, WARNING
     from hitchopt.exports.formats.crazyflie import BYTES
+    from hitchopt.values import counted
 
     facts, flight = report.facts, report.flight
     figures: list[tuple[str, float | None, float | None]] = [
@@ -243,7 +244,8 @@ def _say_report(report: Report) -> None:
     for size, unit in zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False):
         figures.append((f"jump between pieces [{unit}]", size, None))
     frame = f", frame {report.frame}" if report.frame else ""
-    title = f"{report.path}: {report.kind}, {len(facts)} drones{frame}, {flight.duration:.3f} s"
+    drones = counted(len(facts), "drone")
+    title = f"{report.path}: {report.kind}, {drones}{frame}, {flight.duration:.3f} s"
     heads = ("figure", "worst", "limit")
     say(table(title, [dict(zip(heads, row, strict=True)) for row in figures if row[1] is not None]))
     by_rule: dict[tuple[str, str], list[str]] = {}

@@ -22,7 +22,7 @@ from hitchopt.hitch.forces import (
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team
-from hitchopt.values import Array, ByValue, Points, as_array, check_instance
+from hitchopt.values import Array, ByValue, Points, as_array, check_instance, counted
 from hitchopt.values.fields import store, suggest_keywords
 from hitchopt.values.units import PLACED_ALTITUDE
 
@@ -59,7 +59,7 @@ def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:
         count = "one per robot" if closed else "one more than robots"
         bound = f"a list of {points} points, {count}"
         remedy = count_remedy(len(polygon), points, team.robots)
-        raise InputError("polygon", f"{len(polygon)} points", bound, remedy)
+        raise InputError("polygon", counted(len(polygon), "point"), bound, remedy)
     return polygon
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Annotated, Any
@@ -601,6 +601,11 @@ class Swarm(Team):
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    def _parts(self) -> Iterator[str]:
+        yield f"drones={self.drones}"
+        models = dict.fromkeys(str(kind.model) for kind in self.quadrotor if kind.model)
+        yield from [f"quadrotor={', '.join(models)}"] if models else []
 
     @property
     def drones(self) -> int:

@@ -35,7 +35,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.support import Feature, Neighbour, refused_value, unsupported
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.values import Array, as_array, finite, nonnegative, per_robot, positive
+from hitchopt.values import Array, as_array, counted, finite, nonnegative, per_robot, positive
 from hitchopt.values.fields import suggest_keywords
 
 # Proportional gain. The response of vertices to setpoints of drones of 4.75 N/m takes 0.3 s, and
@@ -131,7 +131,7 @@ class Feedback(OneLine):
         self.reset()
 
     def _parts(self) -> Iterator[str]:
-        yield f"{self.motion.team.drones} drones"
+        yield counted(self.motion.team.drones, "drone")
         yield f"{self.motion.duration:.4g} s, cells: {len(self._cells)}"
 
     def reset(self) -> None:

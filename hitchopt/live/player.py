@@ -23,7 +23,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenate_clocks
-from hitchopt.values import Array, Indices, finite, nonnegative
+from hitchopt.values import Array, Indices, counted, finite, nonnegative
 from hitchopt.values.fields import suggest_keywords
 
 SEEK_RATES = (1.0, 0.7, 0.4)  # candidate rates to seek a plan time
@@ -78,7 +78,7 @@ class Player(OneLine):
         self._following: _Following | None = None
 
     def _parts(self) -> Iterator[str]:
-        yield f"{len(self.flight.team.drone_names)} drones"
+        yield counted(len(self.flight.team.drone_names), "drone")
         yield f"{self.flight.duration:.4g} s"
 
     @property

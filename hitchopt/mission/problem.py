@@ -46,7 +46,16 @@ from hitchopt.steps.step import (
     slack_split,
 )
 from hitchopt.steps.tying import Form, check_rollable
-from hitchopt.values import Array, ByValue, Points, check_instance, closest_word, sequence, text
+from hitchopt.values import (
+    Array,
+    ByValue,
+    Points,
+    check_instance,
+    closest_word,
+    counted,
+    sequence,
+    text,
+)
 from hitchopt.values.fields import (
     Key,
     Record,
@@ -331,7 +340,7 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
         if len(places) != team.robots:
             key, bound = f"start.drones.{drones}", f"a list of {team.robots} points"
             remedy = count_remedy(len(places), team.robots, team.robots)
-            raise InputError(key, f"{len(places)} points", bound, remedy)
+            raise InputError(key, counted(len(places), "point"), bound, remedy)
     distances = np.linalg.norm(start.q - start.r, axis=1)
     k = int(np.argmax(distances / team.cable_length))
     if distances[k] > UNIT_ERROR_RATIO * team.cable_length[k]:

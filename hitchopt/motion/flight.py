@@ -36,7 +36,7 @@ from hitchopt.storage.archive import folded
 from hitchopt.support import REFUSALS, Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
-from hitchopt.values import Array, Indices, check_instance, lazy, sequence
+from hitchopt.values import Array, Indices, check_instance, counted, lazy, sequence
 from hitchopt.values.fields import keys_of
 
 NAME = re.compile(r"[^\W\d][\w-]*")
@@ -66,7 +66,7 @@ class TeamMotion(OneLine):
 
     def _parts(self) -> Iterator[str]:
         yield from [self.name] if self.name else []
-        yield f"{len(self.motion.team.drone_names)} drones"
+        yield counted(len(self.motion.team.drone_names), "drone")
         yield f"{self.motion.duration:.4g} s"
 
     def label(self, name: str) -> str:
@@ -159,7 +159,7 @@ class Flight(OneLine):
 
     def _parts(self) -> Iterator[str]:
         names = [flown.name for flown in self.teams if flown.name]
-        yield f"{len(self.team.drone_names)} drones"
+        yield counted(len(self.team.drone_names), "drone")
         yield from [f"teams: {', '.join(names)}"] if names else []
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}"
 

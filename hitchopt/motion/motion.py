@@ -18,7 +18,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.objects.placing import poses_of
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.values import check_instance, lazy, sequence, true_runs
+from hitchopt.values import check_instance, counted, lazy, sequence, true_runs
 
 JOINT = 1e-6
 """[s] Largest gap between phases, and between a change of the cables' state and a break."""
@@ -228,7 +228,7 @@ class Motion(OneLine):
     anchors: PiecewisePolynomial = PLAIN
 
     def _parts(self) -> Iterator[str]:
-        yield f"{self.team.drones} drones"
+        yield counted(self.team.drones, "drone")
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}, pieces: {self.drones.pieces}"
 
     def __post_init__(self) -> None:

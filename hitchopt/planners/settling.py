@@ -26,7 +26,7 @@ from hitchopt.planners.ends import end_of_morph
 from hitchopt.planners.rests import IDLE, rest_motion, rest_plan
 from hitchopt.planners.routes import straight_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
-from hitchopt.values import Array
+from hitchopt.values import Array, counted
 
 MIN_SLIDE = 1e-3
 """[m] Change of leg lengths below which a step ends without settling."""
@@ -188,7 +188,8 @@ class Settling:
         motion = moves.motion.replaced(phases=(self.phase.retimed(0.0, moves.motion.duration),))
         if self.duration is not None:
             motion = _lasting(motion, self.duration)
-        remark = f"{self.vertex} over-travels {count} times, by up to {100.0 * size:.2g} cm"
+        times = counted(count, "time")
+        remark = f"{self.vertex} over-travels {times}, by up to {100.0 * size:.2g} cm"
         if short > 0.0:
             remark += f", and may rest {100.0 * short:.2g} cm short: limits bind"
         return require_certified(moves.replaced(motion, moves.after).with_remark(remark))

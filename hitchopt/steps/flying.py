@@ -13,7 +13,7 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.hitch.team import MAX_DRONES
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.step import Stage, Step
-from hitchopt.values import Array, Points
+from hitchopt.values import Array, Points, counted
 from hitchopt.values.fields import Key, documented, points
 from hitchopt.values.units import DURATION
 
@@ -23,8 +23,8 @@ SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 def check_count(key: str, places: Array, team: Team) -> None:
     """Raise InputError unless there is one position per drone."""
     if len(places) != team.drones:
-        bound = f"{team.drones} points, one per drone"
-        raise InputError(key, f"{len(places)} points", bound, "change team.drones, or these")
+        bound = f"{counted(team.drones, 'point')}, one per drone"
+        raise InputError(key, counted(len(places), "point"), bound, "change team.drones, or these")
 
 
 @documented

@@ -21,7 +21,7 @@ import numpy as np
 
 from hitchopt.errors import FileError
 from hitchopt.storage.files import opened
-from hitchopt.values import Array
+from hitchopt.values import Array, counted
 
 Lines = Callable[[], Iterable[str]]  # Function that reads a text from its start, line by line
 
@@ -103,7 +103,8 @@ class Table:
                 raise
             table = self._numbers(indices, blanks, commas=True)
         if len(table) < min_rows:
-            raise FileError(f"{self.source}: has {len(table)} rows; at least {min_rows} are needed")
+            size = counted(len(table), "row")
+            raise FileError(f"{self.source}: has {size}; at least {min_rows} are needed")
         return table
 
     def check_finite(self, numbers: Array, names: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array, Indices, as_array
+from hitchopt.values import Array, Indices, as_array, counted
 
 if TYPE_CHECKING:
     from scipy.interpolate import BPoly
@@ -68,7 +68,7 @@ class PiecewisePolynomial(OneLine):
         return function
 
     def _parts(self) -> Iterator[str]:
-        yield f"{self.pieces} pieces of degree {self.degree}"
+        yield f"{counted(self.pieces, 'piece')} of degree {self.degree}"
         yield f"shape {self.shape}"
         yield f"{self.breaks[0]:.4g} to {self.breaks[-1]:.4g} s"
 

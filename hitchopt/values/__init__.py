@@ -85,6 +85,11 @@ def form_of(value: object) -> str:
     return next((form for kinds, form, _ in _FORMS if isinstance(value, kinds)), "")
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as ``1 drone`` or ``2 drones``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def alternatives(words: Sequence[str]) -> str:
     """Return a list of words, the last one after "or"."""
     *others, last = words

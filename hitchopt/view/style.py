@@ -18,7 +18,7 @@ from hitchopt.checks.certificate import Certificate, stated_rule
 from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Team
 from hitchopt.motion.flight import Flight
-from hitchopt.values import Array
+from hitchopt.values import Array, counted
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -108,8 +108,8 @@ def facts(flight: Flight) -> str:
     parts = []
     for each in flight.teams:
         team, name = each.motion.team, f"{each.name}: " if each.name else ""
-        robots = f"{team.robots} robots, " if team.has_cables else ""
-        parts.append(f"{name}{robots}{team.drones} drones")
+        robots = f"{counted(team.robots, 'robot')}, " if team.has_cables else ""
+        parts.append(f"{name}{robots}{counted(team.drones, 'drone')}")
     if flight.others:
         parts.append(f"next to {', '.join(each.name for each in flight.others)}")
     return f"{'; '.join(parts)}, {flight.duration:.4g} s"

@@ -177,3 +177,13 @@ def test_drones_keep_their_own_kinds_in_other_roles() -> None:
     team = by_drone(q0={"trim": [0.1, 0.0]}, r1={"trim": [0.2, 0.0]}, q2={"trim": [0.3, 0.0]})
     roles = Assignment((2, 0, 1), (True, False, True)).team(team)
     np.testing.assert_allclose(roles.trim[:, 0], [0.0, 0.3, 0.1, 0.0, 0.2, 0.0])
+
+
+def test_single_drones_are_named_in_the_singular() -> None:
+    assert repr(Swarm(1)) == "Swarm(drones=1)"
+    assert repr(Swarm(3, quadrotor="x260_bolt")) == "Swarm(drones=3, quadrotor=x260_bolt)"
+    plan = ho.solve([[0.0, 0.0, 1.0]], ho.Fly([[1.0, 0.0, 1.0]]), team=Swarm(1))
+    for words in map(repr, (plan, plan.flight, plan.motion)):
+        assert "(1 drone, " in words
+    with pytest.raises(ho.InputError, match="'2 points': must be 1 point, one per drone"):
+        ho.solve([[0.0, 0.0, 1.0]], ho.Fly([[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]), team=Swarm(1))

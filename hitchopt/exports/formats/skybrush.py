@@ -58,7 +58,7 @@ from hitchopt.storage.archive import read_members, reading
 from hitchopt.storage.files import opened, parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks
-from hitchopt.values import Array
+from hitchopt.values import Array, counted
 
 MILLI = 1e-3  # Unit of lengths [m] and times [s] that Skybrush's server stores
 INT16_RANGE = 32768  # Number of negative values of a signed 16-bit integer
@@ -275,7 +275,9 @@ def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
     points = trajectory["points"]
     count = len(points) if isinstance(points, list) else 0
     if count < 2:
-        raise FileError(f"{source}: its trajectory has {count} points; at least two are needed")
+        raise FileError(
+            f"{source}: its trajectory has {counted(count, 'point')}; at least two are needed"
+        )
     start = float(trajectory.get("takeoffTime", 0.0))
     times = start + np.array([point[0] for point in points], dtype=np.float64)
     check_times(times, source)

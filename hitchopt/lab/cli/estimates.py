@@ -322,6 +322,8 @@ def _calibration_tables(calibration: Calibration) -> str:
 
 def _rest_tables(calibration: Calibration) -> list[str]:
     """Return the table of trims, and the sentence on errors at rest; nothing without a rest."""
+    from hitchopt.values import counted
+
     at_rests, team = calibration.at_rests, calibration.task.team.of_problem
     if not len(at_rests.t):
         return []
@@ -341,7 +343,7 @@ def _rest_tables(calibration: Calibration) -> list[str]:
     if before is not None and after is not None:
         bounds = f"{100.0 * after:.3g} cm instead of {100.0 * before:.3g} cm"
         text += f" With them vertex_error is {bounds}."
-    return [table(f"Trims from {len(at_rests.t)} rests", rows), text]
+    return [table(f"Trims from {counted(len(at_rests.t), 'rest')}", rows), text]
 
 
 def _fit_options() -> Sequence[click.Option]:

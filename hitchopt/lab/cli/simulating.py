@@ -288,12 +288,13 @@ def _fly_campaign(
         run_campaign,
         save_campaign,
     )
+    from hitchopt.values import counted
 
     with ProgressBar("building ropes"):
         seconds, count = expected_seconds(task, settings), processes(runs, workers)
     if math.isfinite(seconds):
         total = f"about {math.ceil(runs / count) * seconds:.0f} s"
-        say(f"{runs} flights of about {seconds:.0f} s each in {count} processes: {total}")
+        say(f"{counted(runs, 'flight')} of about {seconds:.0f} s each, {count} at once: {total}")
     with ProgressBar("flying") as progress:
         campaign = run_campaign(task, settings, runs, workers, progress)
     save_campaign(folder, campaign)

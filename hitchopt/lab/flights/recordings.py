@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, InputError, OneLine, optional_module
 from hitchopt.lab.simulation.task import TeamTask
-from hitchopt.values import Array, as_array
+from hitchopt.values import Array, as_array, counted
 
 # Units of length [m], and names of units in files
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -322,7 +322,9 @@ def flight_of(
         if not np.all(is_lost):
             recorded[name] = rows[~is_lost]
     if lost:
-        notes.append(f"{lost} samples omitted: x = y = z = 0, as drivers publish lost bodies")
+        notes.append(
+            f"{counted(lost, 'sample')} omitted: x = y = z = 0, as drivers publish lost bodies"
+        )
     units = _Units(length_unit, _epoch(recorded) if fields.get("one_clock", True) else 0.0)
     if units.epoch:
         clock = f"at {units.epoch:.3f} s of the recording's clock"

@@ -28,7 +28,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import HOVER, attitudes
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, alternatives
+from hitchopt.values import Array, alternatives, counted
 from hitchopt.values.fields import with_fields
 
 QUANTUM = 1e-3  # Resolution of a full-state packet [m], [m/s], [m/s²], [rad/s]
@@ -293,7 +293,7 @@ def uploaded(flight: Flight, team: Team, *, follows: bool) -> Commands:
             jets[:, current, d] = np.moveaxis(jet, -1, 0)
             jets[1:, current & (t > start + curve.duration), d] = 0.0  # it hovers at the end
     rates = body_rates(team.mass[:, None], jets[2], t, follows=follows)
-    count = "1 part" if len(parts) == 1 else f"{len(parts)} parts"
+    count = counted(len(parts), "part")
     options_given = f"longer_rests={options.longer_rests}, allow_slack={options.allow_slack}"
     words = f"{kind.name}, {count}, {options_given}"
     return Commands(jets[0], jets[1], jets[2], rates, words)

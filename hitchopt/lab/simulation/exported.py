@@ -55,7 +55,7 @@ from hitchopt.storage.files import digest
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.support import Feature
 from hitchopt.trajectory import PiecewisePolynomial, joined
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, counted
 from hitchopt.values import path as checked_path
 
 TAKE_OFF_TIME = 3.0  # Duration of the script's take-off [s]
@@ -92,7 +92,7 @@ class ExportedFlight:
 
     def __str__(self) -> str:
         seconds = " + ".join(f"{part.curves.duration:.2f} s" for part in self.parts)
-        count = f"{len(self.parts)} parts" if len(self.parts) > 1 else "1 part"
+        count = counted(len(self.parts), "part")
         start = "with its take-off" if self.takes_off else "starting at their first setpoints"
         words = f"flies the {self.format} files in {count} ({seconds}) {start}"
         waits = f", {BETWEEN:g} s between parts for goTo and upload" if len(self.parts) > 1 else ""

@@ -58,7 +58,7 @@ from hitchopt.lab.statics.rests import DronesAtRests, drones_at_rests
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN, reading
 from hitchopt.support import Feature
-from hitchopt.values import Array, Indices, nonnegative
+from hitchopt.values import Array, Indices, counted, nonnegative
 from hitchopt.values import path as checked_path
 from hitchopt.values.fields import suggest_keywords
 
@@ -275,7 +275,7 @@ def calibrate(
     if not len(windows.t):
         bound = "of a flight with visible drones and vertices while the plan has a hitch"
         remedy = "record the vertices too, with t from the plan's start"
-        raise InputError("recording", f"{len(recording.t)} samples", bound, remedy)
+        raise InputError("recording", counted(len(recording.t), "sample"), bound, remedy)
     stated_density = recording.density if density is None else nonnegative("density", density)
     rope_density = team.cable_density if stated_density is None else stated_density
     feed_forward = team.feed_forward if recording.feed_forward is None else recording.feed_forward
