@@ -44,6 +44,9 @@ CARD_WIDTH = 200.0
 CAPTION_HEIGHT = 9.0
 """Least size of captions there [pixels]."""
 
+MAX_CAPTION = 22
+"""Maximum number of characters of a caption; longer ones, of several teams, are cut to the time."""
+
 
 def draw(file: Path, *, solved: bool) -> Figure:
     """Return the picture of a problem.
@@ -59,6 +62,8 @@ def draw(file: Path, *, solved: bool) -> Figure:
         place = figure.add_gridspec(1, 1, **EDGES)[0]
         draw_plan_storyboard(place, plan.flight, [shots[i] for i in chosen])
         for axes in figure.axes:
+            if len(axes.get_title()) > MAX_CAPTION:
+                axes.set_title(axes.get_title().rpartition(", ")[2])
             axes.title.set_fontsize(CAPTION_HEIGHT * 72.0 * SIZE[0] / CARD_WIDTH)
         return figure
     figure = new_figure(SIZE)
