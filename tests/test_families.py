@@ -25,9 +25,9 @@ from problems.random_morph import is_certified
     "family",
     [
         "form",
-        "scattered_form",
+        pytest.param("scattered_form", marks=pytest.mark.slow),
         pytest.param("carry", marks=pytest.mark.slow),
-        "curves",
+        pytest.param("curves", marks=pytest.mark.slow),
         pytest.param("blends", marks=pytest.mark.slow),
         "corridor",
     ],

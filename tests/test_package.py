@@ -34,9 +34,9 @@ CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"  # Strings that name a class, with or witho
 
 
 @cache
-def syntax() -> dict[Path, list[ast.AST]]:
-    """Return the nodes of the syntax trees of all files of the package, modules first."""
-    paths = sorted(PACKAGE.rglob("*.py"))
+def syntax(folder: str) -> dict[Path, list[ast.AST]]:
+    """Return the nodes of the syntax trees of all files of a folder, modules first."""
+    paths = sorted((ROOT / folder).rglob("*.py"))
     return {path: [*ast.walk(ast.parse(path.read_text("utf-8")))] for path in paths}
 
 
@@ -108,7 +108,7 @@ def test_modules_import_one_another_in_no_circle() -> None:
     """Late imports and those of type checkers count: they say that a boundary is wrong."""
     modules = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): nodes
-        for path, nodes in syntax().items()
+        for path, nodes in syntax("hitchopt").items()
     }
     arrows = {name: _imported(nodes, set(modules)) - {name} for name, nodes in modules.items()}
     while leaves := {name for name, ahead in arrows.items() if not ahead & arrows.keys()}:
@@ -144,7 +144,7 @@ def defined(tree: ast.AST) -> Iterator[tuple[ast.AST, str]]:
 
 def test_nothing_public_is_unused_by_the_package() -> None:
     """What only tests or benchmarks use belongs there; strings such as ``module:Class`` count."""
-    nodes = [node for each in syntax().values() for node in each]
+    nodes = [node for each in syntax("hitchopt").values() for node in each]
     read = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Load)]
     known = {node.id for node in read if isinstance(node, ast.Name)} | CALLED
     known |= {node.attr for node in read if isinstance(node, ast.Attribute)} | {*hitchopt.__all__}
@@ -154,7 +154,7 @@ def test_nothing_public_is_unused_by_the_package() -> None:
     known |= {text.rpartition(":")[2] for text in texts if re.fullmatch(CLASS_NAME, text)}
     unused = [
         f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {name}"
-        for path, each in syntax().items()
+        for path, each in syntax("hitchopt").items()
         for node, name in defined(each[0])
         if name not in known and not name.startswith("_")
     ]
@@ -205,15 +205,16 @@ def test_modules_define_things_and_do_nothing_else(folder: str) -> None:
     Private attributes and settings of the process are refused by ruff.
     """
     own, faults = ("hitchopt", "benchmarks", "problems"), list[str]()
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        tree = ast.parse(path.read_text("utf-8"))
+    for path, nodes in syntax(folder).items():
+        tree = nodes[0]
+        assert isinstance(tree, ast.Module)
         is_script = "scripts" in path.parts  # as users write them
         for node in tree.body:
             is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
             is_choice = isinstance(node, ast.If) and ast.unparse(node.test) in CONDITIONS
             if not (is_script or is_text or is_choice or isinstance(node, DEFINITIONS)):
                 faults.append(f"{path}:{node.lineno}: acts on import")
-        for part in ast.walk(tree):
+        for part in nodes:
             if isinstance(part, ast.Name) and part.id in WRITING_CODE:
                 faults.append(f"{path}:{part.lineno}: {part.id}")
             elif isinstance(part, ast.Import | ast.ImportFrom):

@@ -61,7 +61,8 @@ def test_outer_clasps_are_nearer_to_the_edge_and_still_below_the_rim(
             assert min(legs_below(rim, each) for each in others) < legs_below(rim, first)
 
 
-@pytest.mark.parametrize("seed", [pytest.param(1001, marks=pytest.mark.slow), 1029])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1001, 1029])
 def test_objects_are_held_where_legs_would_cut_the_rim_farther_inside(
     seed: int, tmp_path: Path
 ) -> None:

@@ -115,8 +115,8 @@ def test_degenerate_motions_fail(name: str) -> None:
         assert certificate["legs"].time == pytest.approx(THIRD, abs=1e-4)
 
 
-def test_sixty_robots_at_one_place() -> None:
-    certificate = certified(altered(random_motion(60, 3), "drones", at_one_place))
+def test_many_robots_at_one_place() -> None:
+    certificate = certified(altered(random_motion(30, 3), "drones", at_one_place))
     assert certificate["separation"].worst == certificate["cable_clearance"].worst == 0.0
     assert not certificate["cable_length"].holds
 

@@ -22,8 +22,7 @@ from hitchopt.exports.firmware import (
     px4_team_parameters,
     team_parameters,
 )
-from hitchopt.exports.options import HOMES
-from tests.helpers.exported_plans import Array, exported
+from tests.helpers.exported_plans import EACH_FORMAT, Array, exported
 
 LEVEL, UPRIGHT = 0, 1
 KINDS = st.builds(
@@ -194,7 +193,7 @@ RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "k
 UPLOADED = "crazyswarm2", "compressed"
 
 
-@pytest.mark.parametrize("name", HOMES)
+@pytest.mark.parametrize("name", EACH_FORMAT)
 def test_the_manifest_says_how_and_by_whom_a_plan_is_flown(name: str, tmp_path: Path) -> None:
     kind = ho.Quadrotor(controller="px4") if name == "mavsdk_drone_show" else RETUNED
     plan = plan_of(kind)

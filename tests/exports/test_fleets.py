@@ -103,7 +103,8 @@ def test_plans_that_leave_no_room_for_tracking_errors_say_so() -> None:
     ("name", "kind"),
     [
         *((name, "hitch and swarm") for name in HOMES),
-        *((name, "two hitches") for name in ("csv", "skybrush", "mavsdk_drone_show")),
+        *((name, "two hitches") for name in ("csv", "mavsdk_drone_show")),
+        pytest.param("skybrush", "two hitches", marks=pytest.mark.slow),
     ],
 )
 def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> None:

@@ -37,7 +37,14 @@ from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.view.style import drone_colours
-from tests.helpers.exported_plans import Array, exported, hitch_plan, swarm_plan, task_of
+from tests.helpers.exported_plans import (
+    EACH_FORMAT,
+    Array,
+    exported,
+    hitch_plan,
+    swarm_plan,
+    task_of,
+)
 from tests.helpers.format_readers import READERS, bag_messages, glb_animation, vector
 from tests.helpers.plans import planned
 
@@ -179,7 +186,7 @@ def test_equal_plans_give_equal_files_at_any_time(
         )
 
 
-@pytest.mark.parametrize("name", HOMES)
+@pytest.mark.parametrize("name", EACH_FORMAT)
 def test_every_folder_says_which_drone_holds_which_edge(name: str, tmp_path: Path) -> None:
     plan = hitch_plan()
     exported(plan, name, tmp_path)

@@ -24,7 +24,7 @@ from hitchopt.exports.verification import Flown, verify
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from tests.helpers.exported_plans import reflown
+from tests.helpers.exported_plans import EACH_FORMAT, reflown
 
 SOFT = ho.Quadrotor(stiffness=4.75)
 
@@ -166,7 +166,7 @@ def test_at_rest_they_are_moved_outward_by_the_tension_over_the_stiffness(plan: 
     np.testing.assert_allclose(found.vertices, found.planned_vertices, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", list(HOMES))
+@pytest.mark.parametrize("name", EACH_FORMAT)
 def test_every_format_holds_the_tension(name: str, plan: ho.Plan, tmp_path: Path) -> None:
     (done,) = plan.export(name, tmp_path, hold_tension=True)
     said = json.loads((tmp_path / "export.json").read_text(encoding="utf-8"))
@@ -217,7 +217,7 @@ def of_kind(plan: ho.Plan, kind: ho.Quadrotor) -> ho.Plan:
 @pytest.mark.parametrize(
     ("name", "changes", "expected"),
     [
-        *((name, {}, []) for name in HOMES),
+        *((name, {}, []) for name in HOMES if name != "mjcf"),
         *((name, RIGID, []) for name in ("csv", "gltf")),
         ("csv", {"feed_forward": False}, [SLACK]),
         ("csv", {"integral": True}, [INTEGRAL]),

@@ -41,6 +41,8 @@ ORDERS = {
 }
 """Robots in the order in which a problem lists them, and whether their q and r are exchanged."""
 
+OTHER_ORDERS = [pytest.param("in another order", marks=pytest.mark.slow), "and turned around"]
+
 FORM: dict[str, Any] = {"polygon": [[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]], "altitude": 1.5}
 
 
@@ -93,7 +95,7 @@ def flights(plan: ho.Plan, name: str) -> tuple[Array, Array]:
     return states.positions[:, order], states.cable_forces[:, order]
 
 
-@pytest.mark.parametrize("name", [*ORDERS][1:])
+@pytest.mark.parametrize("name", OTHER_ORDERS)
 def test_every_order_of_robots_gives_the_same_flight_of_every_drone(
     name: str, tmp_path: Path
 ) -> None:
@@ -142,7 +144,7 @@ def test_vertices_and_assignment_tell_who_holds_which_edge(name: str, tmp_path: 
     assert [float(row["tension"]) for row in last] == pytest.approx(expected, abs=1e-3)
 
 
-@pytest.mark.parametrize("name", [*ORDERS][1:])
+@pytest.mark.parametrize("name", OTHER_ORDERS)
 def test_addresses_trims_and_masses_reach_their_drones(name: str, tmp_path: Path) -> None:
     saved(name, tmp_path)
     names = [f"{end}{k}" for k in range(3) for end in "qr"]
@@ -189,6 +191,7 @@ def test_the_thrust_factor_is_multiplied_into_the_command_of_thrust() -> None:
         assert command(controller, group, key, 1.08) == pytest.approx(1.08 * plain, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_drones_of_several_teams_keep_their_names(tmp_path: Path) -> None:
     """Each team's drones are its problem's; what is between teams names them as well."""
     first, second_name = [*ORDERS][1:]

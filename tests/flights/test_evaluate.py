@@ -104,6 +104,7 @@ def test_an_unknown_weight_is_fitted() -> None:
     assert np.nanmax(ho.evaluate(flight, weightless, density=0.006).errors) < 1e-4
 
 
+@pytest.mark.slow
 def test_standard_errors_cover_two_thirds_of_the_errors() -> None:
     """Markers are offset from the axis, independently in every flight; all times count."""
     coverage = []

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check
 from hitchopt.exports.exporting import Export, export_flight
 from hitchopt.exports.format import ExportTask, format_of
-from hitchopt.exports.options import ExportOptions
+from hitchopt.exports.options import HOMES, ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
 from hitchopt.exports.verification import EXPORT_RULES
 from hitchopt.hitch import Quadrotor, Swarm
@@ -27,6 +28,11 @@ from hitchopt.trajectory import PiecewisePolynomial
 from tests.helpers.plans import planned_of
 
 Array = NDArray[np.float64]
+
+EACH_FORMAT = [
+    pytest.param(name, marks=[pytest.mark.slow] if name == "mjcf" else []) for name in HOMES
+]
+"""Names of formats for tests of each one; ropes of mjcf settle for seconds."""
 
 PROBLEM = {
     "title": 'A triangle with "quotes" and ünïcode',

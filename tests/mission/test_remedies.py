@@ -349,7 +349,13 @@ def plain(data: Any) -> Any:
     return [plain(value) for value in data] if isinstance(data, list) else data
 
 
-SLOW = {"form_cable_too_short", "form_ceiling_too_low", "two_robots_smooth_lip", "same_goal"}
+SLOW = {
+    "form_cable_too_short",
+    "form_ceiling_too_low",
+    "two_robots_low",
+    "two_robots_smooth_lip",
+    "same_goal",
+}
 
 
 @pytest.mark.parametrize(

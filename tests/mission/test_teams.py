@@ -220,6 +220,7 @@ def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> No
         exchanged(9.0)
 
 
+@pytest.mark.slow
 def test_teams_that_cross_rise_instead_of_waiting_where_that_takes_less_time() -> None:
     """Three paths that cross in one point; a low ceiling leaves only the wait."""
     polygon: Any = np.array(TRIANGLE)

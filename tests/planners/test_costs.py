@@ -34,7 +34,7 @@ def objective(path: ho.Path, cost: CostFunction) -> float:
 def test_a_cost_bends_the_route_the_more_it_weighs() -> None:
     plain = ho.route(START, MOVED)
     distances, durations = [0.09], [ho.time(plain).duration]
-    for weight in (1.0, 5.0, 20.0):
+    for weight in (1.0, 20.0):
         cost = near_line(weight)
         path = ho.route(START, MOVED, cost=cost)
         motion = ho.time(path)

@@ -88,6 +88,7 @@ def test_straight_routes_between_nearly_regular_polygons_are_kept() -> None:
         assert not plan.phases[0].remark
 
 
+@pytest.mark.slow
 def test_a_refusal_names_limit_and_place_of_the_best_route_tried() -> None:
     """Thrust suffices at the ends, whose legs are level, but not for legs that roll between."""
     weak = ho.Quadrotor(0.132, 1.42)

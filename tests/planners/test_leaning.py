@@ -345,6 +345,7 @@ def test_settling_takes_the_time_that_limits_and_over_travels_need() -> None:
         settled(Settle(1.0))
 
 
+@pytest.mark.slow
 def test_vertices_without_room_to_over_travel_are_named_or_refused() -> None:
     """Walls that drones just reach; without over-travels, friction holds half of its band."""
     still = slid(Hold(1.0)).at(0.0).positions

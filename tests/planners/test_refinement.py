@@ -77,8 +77,15 @@ def random_flat(
 
 
 @pytest.mark.parametrize("topology", ["closed", "open"])
-@pytest.mark.parametrize("varying", [False, True])
-@pytest.mark.parametrize("rolled", [False, True])
+@pytest.mark.parametrize(
+    ("rolled", "varying"),
+    [
+        (False, False),
+        pytest.param(False, True, marks=pytest.mark.slow),
+        pytest.param(True, False, marks=pytest.mark.slow),
+        (True, True),
+    ],
+)
 @pytest.mark.parametrize("kind", TEAMS)
 def test_casadi_and_series_state_the_same_flight(
     kind: str, rolled: bool, varying: bool, topology: str
@@ -206,6 +213,7 @@ def test_a_clock_is_a_variable_too() -> None:
     np.testing.assert_allclose(exact, numeric, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_cost_in_motion_are_those_of_finite_differences() -> None:
     """By coefficients of splines and by those of the clock's squared rate."""
     path = with_leg_lengths(route_of("rolled"))

@@ -786,6 +786,7 @@ def test_the_hover_before_a_flight_is_independent_of_its_first_jerk(controller: 
     np.testing.assert_array_equal(*starts)
 
 
+@pytest.mark.slow
 def test_the_expected_time_is_that_of_steps_which_count() -> None:
     task = resting_task(regular_hitch(3), 0.1)
     settings = Settings(controller="mellinger")

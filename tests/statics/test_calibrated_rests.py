@@ -122,6 +122,7 @@ def test_forces_that_the_cables_explain_are_no_trims() -> None:
     assert result.at_rests.largest_error < 1e-3
 
 
+@pytest.mark.slow
 def test_trims_of_one_flight_after_another_leave_less_than_their_errors() -> None:
     """Cables hold drones back from their offset setpoints, so that one flight shows a part."""
     missing, steps = TRIMS, list[float]()
@@ -167,6 +168,7 @@ def test_vertex_errors_before_and_after_are_those_of_plans_with_these_errors() -
     assert ErrorSizes.of(again.team, None).drone.level == 0.001
 
 
+@pytest.mark.slow
 def test_the_command_prints_trims_and_how_far_the_vertex_error_falls(tmp_path: Path) -> None:
     stated = Errors(0.02, 0.03, 0.0)
     plan = planned(team(errors=stated), OTHER)

@@ -89,7 +89,10 @@ def _tension(path: Path) -> ho.Check:
     return check
 
 
-@pytest.mark.parametrize("factor", [1e-12, 1e-4, 0.01, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize(
+    "factor",
+    [*(pytest.param(x, marks=pytest.mark.slow) for x in (1e-12, 1e-4, 0.01, 0.5)), 0.9, 1.0],
+)
 @pytest.mark.parametrize("is_tied", [True, False])
 def test_tensions_rise_to_the_smallest_at_which_a_hitch_is_held(
     *, is_tied: bool, factor: float, tmp_path: Path
@@ -142,7 +145,7 @@ def test_what_dips_from_the_smallest_tension_and_back_is_no_ramp(
     assert not check.holds
 
 
-@pytest.mark.parametrize("at", [0, 1, -1])
+@pytest.mark.parametrize("at", [pytest.param(0, marks=pytest.mark.slow), 1, -1])
 def test_phases_shorter_than_files_resolve_alter_nothing(at: int, tmp_path: Path) -> None:
     def shorter(settings: Settings, _: Arrays) -> None:
         phases = settings["groups"][0]["records"]["phases"]
