@@ -31,7 +31,7 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.objects import Rim
 from hitchopt.planners.ends import RolledLegs
-from hitchopt.steps.moving import ShapeStep
+from hitchopt.steps.hitch_step import ShapeStep
 from hitchopt.steps.step import (
     DECIMALS,
     PLAN_DURATION,

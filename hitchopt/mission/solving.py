@@ -42,7 +42,8 @@ from hitchopt.planners.ends import split_hitch
 from hitchopt.planners.rests import check_at_rest, check_start
 from hitchopt.planners.settling import with_settling
 from hitchopt.planners.task import RestState, StepPlan, StepTask
-from hitchopt.steps.moving import NonstopStep, plan_blended
+from hitchopt.steps.blended import plan_blended
+from hitchopt.steps.hitch_step import NonstopStep
 from hitchopt.steps.step import Step
 from hitchopt.values import Array, integer
 

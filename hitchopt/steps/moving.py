@@ -4,48 +4,28 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import (
-    InfeasibleError,
-    InputError,
-    RequestError,
-    Violation,
-    broken_limit,
-)
+from hitchopt.errors import InfeasibleError, InputError, RequestError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.planners.blending import BlendedSteps, PassedStep
-from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.compensation import with_friction_feedforward
-from hitchopt.planners.ends import End, end_of_action, end_of_morph
-from hitchopt.planners.rests import IDLE, check_at_rest, hover_motion, rest_motion
-from hitchopt.planners.routes import (
-    RouteSearch,
-    action_plan,
-    past_obstacles,
-    plan_like,
-    rolling_action_plan,
-    straight_plan,
-)
+from hitchopt.planners.candidates import Candidate
+from hitchopt.planners.ends import End, end_of_morph
+from hitchopt.planners.rests import hover_motion
+from hitchopt.planners.routes import past_obstacles, plan_like, straight_plan
 from hitchopt.planners.settling import settling_plan
-from hitchopt.planners.task import (
-    RestState,
-    StepPlan,
-    StepTask,
-    plan_in_sequence,
-    require_certified,
-)
+from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
+from hitchopt.steps.hitch_step import ActionStep, HitchStep, NonstopStep, ShapeStep
 from hitchopt.steps.step import (
     AUTO,
     AUTO_SECONDS,
@@ -94,212 +74,6 @@ __all__ = [  # noqa: RUF022, in the order of the keys of problem files
     "Transport",
     "Settle",
 ]
-
-if TYPE_CHECKING:
-    from hitchopt.planners.morph.actions import Action
-
-
-class HitchStep(Step):
-    """A step that begins and ends with a hitch."""
-
-    def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of the step with friction feed-forward."""
-        return with_friction_feedforward(self.fly(task), timed=self.prescribed_duration is not None)
-
-    @abstractmethod
-    def fly(self, task: StepTask) -> StepPlan:
-        """Return the plan without friction feed-forward."""
-
-    def check_end(self, end: Hitch, task: StepTask) -> None:
-        """Raise InfeasibleError if the hitch after the step breaks a limit at rest."""
-        check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
-
-    def in_phase(
-        self, task: StepTask, motion: Motion | None, end: Hitch, remark: str = ""
-    ) -> Motion:
-        """Return a planner's motion as the step's phase; for None the hitch at rest."""
-        if motion is None:
-            phase = Phase(self.name, task.index, 0.0, 0.0, remark)
-            return rest_motion(end, task.requirements, self.prescribed_duration or IDLE, phase)
-        phase = Phase(self.name, task.index, 0.0, motion.duration, remark)
-        return motion.replaced(phases=(phase,))
-
-
-class NonstopStep(HitchStep):
-    """A step that may precede or follow another one without a stop."""
-
-    blendable: ClassVar[bool] = True
-
-    @abstractmethod
-    def end(self, task: StepTask) -> End:
-        """Return the hitch after the step."""
-
-    def passed(self, task: StepTask, count: int) -> list[Hitch]:  # noqa: ARG002
-        """Return hitches that a flight without a stop passes: about ``count``, and the end."""
-        return [self.end(task).hitch]
-
-
-class ShapeStep(NonstopStep):
-    """A step that changes vertices and legs without prescribed times on the path."""
-
-    searches_faster_routes: ClassVar[bool] = False
-    """True if routes that take much longer than the lower bound are replaced."""
-
-    legs: Legs | None
-
-    @abstractmethod
-    def direct_plan(self, task: StepTask, end: End) -> StepPlan:
-        """Return the plan along the direct route, with the step's own leg lengths."""
-
-    def fly(self, task: StepTask) -> StepPlan:
-        """Return the first certified plan of those that differ in the legs at the end."""
-        return first_certified(self.ways(task), task.effort, task.progress)
-
-    def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
-        """Yield the plans to the nearest legs, and to spread ones where these are infeasible.
-
-        Raises InfeasibleError if the first one is infeasible and the start breaks a limit at rest.
-        """
-        yield Candidate("nearest legs", partial(self.fly_to_end, task))
-        self.check_end(task.hitch, task)
-        if self.legs is None:
-            spread = with_fields(self, legs="spread")
-            yield Candidate("spread legs", partial(spread.fly_to_end, task))
-
-    def fly_to_end(self, task: StepTask) -> StepPlan:
-        """Return the direct plan, or an optimised one if it is needed or requested."""
-        end = self.end(task)
-        tension: tuple[float, float] | None = getattr(self, "tension", None)
-        search = RouteSearch(
-            task,
-            end.hitch,
-            Phase(self.name, task.index, 0.0, 0.0, tension=tension),
-            own=partial(self.direct_plan, task, end),
-            duration=self.prescribed_duration,
-            replaces_slow=self.searches_faster_routes,
-            allow_slides=bool(getattr(self, "optimize", False)),
-            cost=getattr(self, "cost", None),
-        )
-        return search.plan()
-
-
-def plan_blended(steps: Sequence[NonstopStep], task: StepTask) -> StepPlan:
-    """Return the plan of steps without a stop in between; ``task`` is the first step's.
-
-    Where no such plan is found, it stops after as many of them as it can fly without a stop.
-    Raises InputError for a step without motion.
-    """
-
-    def stopping(count: int, error: InfeasibleError) -> Candidate[StepPlan] | None:
-        """Return the candidate that stops after ``count`` steps; None without any."""
-        if count == 0:
-            return None
-        planner = partial(_plan_stopping, steps, count, _reason(error), task)
-        return Candidate("flight with a stop", planner, lambda _: stopping(count - 1, error))
-
-    nonstop = Candidate(
-        "flight without a stop",
-        partial(_plan_nonstop, steps, task),
-        lambda error: stopping(len(steps) - 1, error),
-    )
-    return first_certified([nonstop], task.effort, task.progress)
-
-
-def _reason(error: InfeasibleError) -> str:
-    """Return the first limit that a plan breaks, without time and remedy."""
-    if not error.violations:
-        return str(error)
-    first = error.violations[0]
-    return broken_limit(
-        first.constraint, first.value, first.limit, first.sense, first.unit, first.where
-    )
-
-
-def _plan_stopping(
-    steps: Sequence[NonstopStep], count: int, reason: str, task: StepTask
-) -> StepPlan:
-    """Return the plan that stops after ``count`` steps, for a ``reason`` in its remark."""
-
-    def first(task: StepTask) -> StepPlan:
-        """Return the plan of the steps up to the stop."""
-        plan = _plan_nonstop(steps[:count], task)
-        return plan.with_remark(f"stops: without a stop, {reason}", at_end=True)
-
-    def others(task: StepTask) -> StepPlan:
-        """Return the plan of the steps after the stop."""
-        after = replace(task, index=task.index + count)
-        return plan_blended(steps[count:], after)
-
-    return plan_in_sequence([first, others], task)
-
-
-def _plan_nonstop(steps: Sequence[NonstopStep], task: StepTask) -> StepPlan:
-    """Return the certified plan of steps without a stop; of one step that of its own."""
-    from hitchopt.planners.morph.morph import moves
-
-    if len(steps) == 1:
-        return require_certified(steps[0].plan(task))
-    passed = list[PassedStep]()
-    start = task.hitch
-    for index, step in enumerate(steps, task.index):
-        step_task = StepTask(RestState(start.team, start.drones, start), index, task.requirements)
-        end = step.end(step_task).hitch
-        step.check_end(end, step_task)
-        if not moves(start, end):
-            bound = "a step with motion if steps are blended"
-            remedy = "omit it, or omit blend"
-            raise RequestError(f"mission[{index}].{step.name}", "no motion", bound, remedy)
-        hitches = partial(step.passed, step_task)
-        passed.append(PassedStep(step.name, hitches, step.prescribed_duration))
-        start = end
-
-    def stopped() -> list[StepPlan]:
-        """Return the fastest certified plans of the steps, each from the end of the last one."""
-        plans = list[StepPlan]()
-        state = task.before
-        for index, step in enumerate(steps, task.index):
-            step_task = replace(task.within(task.requirements, state), index=index)
-            untimed = with_fields(step, duration=None)
-            plans.append(require_certified(untimed.fly(step_task)))
-            state = plans[-1].after
-        return plans
-
-    free_legs = all(step.split is None for step in steps[:-1])
-    return BlendedSteps(task, passed, stopped, free_legs).plan()
-
-
-class ActionStep(ShapeStep):
-    """A step that is an action of the paper, which specifies the drones that move."""
-
-    action_fields: ClassVar[tuple[str, ...]] = ("vertex",)
-    """Names of the fields that the action takes after the start and the polygon."""
-
-    def action(self, task: StepTask) -> Action:
-        """Return the action of the same name."""
-        from hitchopt.planners.morph import actions
-
-        start = task.hitch
-        polygon = self.polygon_after(start.team, start.polygon)
-        values = [getattr(self, name) for name in self.action_fields]
-        action: Action = getattr(actions, self.name)(start, polygon, *values)
-        return action
-
-    def end(self, task: StepTask) -> End:
-        """Return the hitch after the action."""
-        return end_of_action(self.action(task), self.split, task.requirements)
-
-    def direct_plan(self, task: StepTask, end: End) -> StepPlan:
-        """Return the plan of the action to its end hitch."""
-        phase = Phase(self.name, task.index, 0.0, 0.0)
-        reason = "legs are to change" if self.legs is not None else end.reason
-        duration = self.prescribed_duration
-        return action_plan(task, self.action(task), end.hitch, phase, duration, reason)
-
-    def rolling_plan(self, task: StepTask, end: End) -> StepPlan:
-        """Return the plan of the action with legs that roll on the way."""
-        phase = Phase(self.name, task.index, 0.0, 0.0)
-        duration = self.prescribed_duration
-        return rolling_action_plan(task, self.action(task), end.hitch, phase, duration)
 
 
 @documented

@@ -1,0 +1,140 @@
+"""Base classes of the steps that begin and end with a hitch."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+from hitchopt.hitch import Hitch
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.compensation import with_friction_feedforward
+from hitchopt.planners.ends import End, end_of_action
+from hitchopt.planners.rests import IDLE, check_at_rest, rest_motion
+from hitchopt.planners.routes import RouteSearch, action_plan, rolling_action_plan
+from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.steps.step import Legs, Step
+from hitchopt.values.fields import with_fields
+
+if TYPE_CHECKING:
+    from hitchopt.planners.morph.actions import Action
+
+
+class HitchStep(Step):
+    """A step that begins and ends with a hitch."""
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan of the step with friction feed-forward."""
+        return with_friction_feedforward(self.fly(task), timed=self.prescribed_duration is not None)
+
+    @abstractmethod
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan without friction feed-forward."""
+
+    def check_end(self, end: Hitch, task: StepTask) -> None:
+        """Raise InfeasibleError if the hitch after the step breaks a limit at rest."""
+        check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
+
+    def in_phase(
+        self, task: StepTask, motion: Motion | None, end: Hitch, remark: str = ""
+    ) -> Motion:
+        """Return a planner's motion as the step's phase; for None the hitch at rest."""
+        if motion is None:
+            phase = Phase(self.name, task.index, 0.0, 0.0, remark)
+            return rest_motion(end, task.requirements, self.prescribed_duration or IDLE, phase)
+        phase = Phase(self.name, task.index, 0.0, motion.duration, remark)
+        return motion.replaced(phases=(phase,))
+
+
+class NonstopStep(HitchStep):
+    """A step that may precede or follow another one without a stop."""
+
+    blendable: ClassVar[bool] = True
+
+    @abstractmethod
+    def end(self, task: StepTask) -> End:
+        """Return the hitch after the step."""
+
+    def passed(self, task: StepTask, count: int) -> list[Hitch]:  # noqa: ARG002
+        """Return hitches that a flight without a stop passes: about ``count``, and the end."""
+        return [self.end(task).hitch]
+
+
+class ShapeStep(NonstopStep):
+    """A step that changes vertices and legs without prescribed times on the path."""
+
+    searches_faster_routes: ClassVar[bool] = False
+    """True if routes that take much longer than the lower bound are replaced."""
+
+    legs: Legs | None
+
+    @abstractmethod
+    def direct_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the plan along the direct route, with the step's own leg lengths."""
+
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the first certified plan of those that differ in the legs at the end."""
+        return first_certified(self.ways(task), task.effort, task.progress)
+
+    def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
+        """Yield the plans to the nearest legs, and to spread ones where these are infeasible.
+
+        Raises InfeasibleError if the first one is infeasible and the start breaks a limit at rest.
+        """
+        yield Candidate("nearest legs", partial(self.fly_to_end, task))
+        self.check_end(task.hitch, task)
+        if self.legs is None:
+            spread = with_fields(self, legs="spread")
+            yield Candidate("spread legs", partial(spread.fly_to_end, task))
+
+    def fly_to_end(self, task: StepTask) -> StepPlan:
+        """Return the direct plan, or an optimised one if it is needed or requested."""
+        end = self.end(task)
+        tension: tuple[float, float] | None = getattr(self, "tension", None)
+        search = RouteSearch(
+            task,
+            end.hitch,
+            Phase(self.name, task.index, 0.0, 0.0, tension=tension),
+            own=partial(self.direct_plan, task, end),
+            duration=self.prescribed_duration,
+            replaces_slow=self.searches_faster_routes,
+            allow_slides=bool(getattr(self, "optimize", False)),
+            cost=getattr(self, "cost", None),
+        )
+        return search.plan()
+
+
+class ActionStep(ShapeStep):
+    """A step that is an action of the paper, which specifies the drones that move."""
+
+    action_fields: ClassVar[tuple[str, ...]] = ("vertex",)
+    """Names of the fields that the action takes after the start and the polygon."""
+
+    def action(self, task: StepTask) -> Action:
+        """Return the action of the same name."""
+        from hitchopt.planners.morph import actions
+
+        start = task.hitch
+        polygon = self.polygon_after(start.team, start.polygon)
+        values = [getattr(self, name) for name in self.action_fields]
+        action: Action = getattr(actions, self.name)(start, polygon, *values)
+        return action
+
+    def end(self, task: StepTask) -> End:
+        """Return the hitch after the action."""
+        return end_of_action(self.action(task), self.split, task.requirements)
+
+    def direct_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the plan of the action to its end hitch."""
+        phase = Phase(self.name, task.index, 0.0, 0.0)
+        reason = "legs are to change" if self.legs is not None else end.reason
+        duration = self.prescribed_duration
+        return action_plan(task, self.action(task), end.hitch, phase, duration, reason)
+
+    def rolling_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the plan of the action with legs that roll on the way."""
+        phase = Phase(self.name, task.index, 0.0, 0.0)
+        duration = self.prescribed_duration
+        return rolling_action_plan(task, self.action(task), end.hitch, phase, duration)
