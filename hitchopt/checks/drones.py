@@ -302,10 +302,8 @@ def _length(spans: Legs) -> Bound:
 
     Heights are divided by ``Requirements.height_ratio``.
     """
-    legs = spans.read(leg_vectors(spans.source))
-    height_ratio = spans.source.requirements.height_ratio
-    if height_ratio != 1.0:
-        legs = legs * np.array([1.0, 1.0, 1.0 / height_ratio])[:, None]
+    scale = spans.source.requirements.error_scale
+    legs = spans.read(leg_vectors(spans.source)) * scale[:, None]
     lengths = Enclosed(legs, spans.noise).norm_lower
     exists = spans.source.team.layout.has_leg.ravel()[spans.item]
     return Bound(np.where(exists, lengths.value, np.inf), lengths.x)

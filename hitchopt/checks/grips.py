@@ -359,8 +359,7 @@ def _hinge_limit(motion: Motion) -> float | None:
     """Return the smallest height of the clasps of two cables above a centre of mass [m]."""
     if not has_two_cables(motion) or not gripped_objects(motion):
         return None
-    tube = motion.requirements.limits.tube
-    return MIN_HINGE + tube.level * tube.ratio
+    return MIN_HINGE + motion.requirements.limits.tube.largest
 
 
 def has_two_cables(motion: Motion) -> bool:

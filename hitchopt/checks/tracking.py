@@ -275,7 +275,7 @@ def touching_radius(
 def ellipsoid_axes(requirements: Requirements) -> Array:
     """Return twice the semi-axes (3,) [m] of drones' ellipsoids, heights divided by their ratio."""
     axes: Array = 1.0 / requirements.separation.scale
-    return axes * [1.0, 1.0, 1.0 / requirements.height_ratio]
+    return axes * requirements.error_scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,7 +383,7 @@ def downwash_radius(
     ``pairs`` yields the pairs of bodies for a scale of coordinates, a formula and a shape. These
     approach each other by ``approach`` times the error.
     """
-    scale = np.array([1.0, 1.0, 1.0 / requirements.height_ratio])
+    scale = requirements.error_scale
     axes = 0.5 * ellipsoid_axes(requirements)
     least = WorstCase(math.inf, 0.0)
     for moving in pairs(scale, formula=_error, shape=partial(Wash, axes=axes)):

@@ -345,6 +345,16 @@ class Requirements(ByValue):
         return self.separation.cable + (self.height_ratio - 1.0) * errors
 
     @property
+    def height_error(self) -> float:
+        """Largest vertical error of drones [m], which the distances include."""
+        return self.position_error * self.height_ratio
+
+    @property
+    def error_scale(self) -> Array:
+        """Factors (3,) of coordinates with which drones err equally far in all directions."""
+        return np.array([1.0, 1.0, 1.0 / self.height_ratio])
+
+    @property
     def with_reserve(self) -> Requirements:
         """Requirements enforced by planners: limits with reserve, distances wider by ``tracking``.
 

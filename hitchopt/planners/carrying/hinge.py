@@ -29,8 +29,7 @@ MILLIMETRE_ROUNDING = 1e-3
 
 def _height_error(requirements: Requirements) -> float:
     """Return the largest height error of drones [m]."""
-    tube = requirements.limits.tube
-    return tube.level * tube.ratio or requirements.position_error * requirements.height_ratio
+    return requirements.limits.tube.largest or requirements.height_error
 
 
 def needed_height(body: SolidObject, requirements: Requirements) -> float:

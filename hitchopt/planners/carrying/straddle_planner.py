@@ -179,7 +179,7 @@ class StraddlePlanner(MovePlanner):
         closest = float(np.min(length(scaled[:, first] - scaled[:, second])))
         gap = _gap_to_cables(drones, leg_ends, curves["contacts"])
         height = float(np.min(drones[..., 2])) - requirements.floor
-        height_error = requirements.position_error * requirements.height_ratio
+        height_error = requirements.height_error
         planned_gap = DISTANCE_FACTOR * separation.cable + EXTRA_DISTANCE
         distances = (
             Distance("separation", closest, 1.0, MIN_SEPARATION, "ratio"),

@@ -95,7 +95,7 @@ CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 
 def longest_spans(team: Team, requirements: Requirements) -> Array:
     """Return the distances (n,) [m] of drones from which hanging cables are drawn taut."""
-    height_error = requirements.position_error * requirements.height_ratio
+    height_error = requirements.height_error
     longest_hanging = MAX_SPAN_RATIO * team.cable_length
     with_slack = team.cable_length - SLACK_OVER_ERROR * height_error
     return np.asarray(np.minimum(longest_hanging, with_slack))
@@ -536,7 +536,7 @@ class SampledSwaps:
         r = self.r[:, layout.behind]
         to_q = self.cable_points[:, :, layout.behind] - q
         to_r = self.cable_points[:, :, layout.ahead] - r
-        scale = np.array([1.0, 1.0, 1.0 / self.requirements.height_ratio])
+        scale = self.requirements.error_scale
         distances = np.linalg.norm(np.stack([to_q, to_r]) * scale, axis=-1)
         return float(np.min(distances, initial=np.inf))
 

@@ -247,7 +247,7 @@ def drawing_progress(
     ``hitchopt.checks.tracking``).
     """
     limits = requirements.limits
-    error = requirements.position_error * requirements.height_ratio
+    error = requirements.height_error
     if not error:
         return line_progress(team, limits, start, end)
     shares = np.linspace(0.0, 1.0, 201)

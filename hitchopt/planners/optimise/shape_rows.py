@@ -214,7 +214,7 @@ class PathShapes:
         layout = self.columns.team.layout
         drone = np.flatnonzero(layout.has_leg.ravel())
         anchor = layout.anchors[drone]
-        scale = np.array([1.0, 1.0, 1.0 / requirements.height_ratio])
+        scale = requirements.error_scale
         legs = (self.nodes[:, layout.points + drone] - self.nodes[:, anchor]) * scale
         enforced = requirements.limits.leg + LEG_MARGIN
         sample, leg = np.nonzero(length(legs) < enforced + reach)
