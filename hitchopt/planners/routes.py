@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from hitchopt.planners.optimise.knots import KnotPath
     from hitchopt.planners.path import Path
     from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 P = TypeVar("P", bound="Translatable")
 
@@ -152,6 +153,43 @@ def straight_plan(
         return task.plan_ending(rest, end)
     path = straight_path(task.hitch, end, task.requirements)
     return plan_along(task, path, end, phase, duration)
+
+
+def rigid_plan(
+    task: StepTask, to: Array, yaw: float, end: Hitch, phase: Phase, duration: float | None
+) -> StepPlan:
+    """Return the plan of a hitch that moves and turns without a change of its shape.
+
+    Where prisms or objects may be in its way, it is certified.
+
+    Parameters
+    ----------
+    to: goal (3,) of its centroid [m].
+    yaw: angle [rad] by which it turns about it.
+    end: hitch at the goal.
+    phase: with the step's name and index.
+    duration: prescribed duration [s]; None for the fastest one.
+    """
+    from hitchopt.planners.morph.morph import check_loads
+    from hitchopt.planners.path import RigidPath
+    from hitchopt.planners.timing.timed_motion import motion_along
+
+    requirements = task.requirements
+    path = RigidPath(task.hitch, to, yaw)
+    if path.is_constant:
+        return task.plan_ending(rest_motion(end, requirements, duration or IDLE, phase), end)
+    check_loads(path, requirements.limits)
+
+    def along(path: RigidPath) -> StepPlan:
+        """Return the plan along a path."""
+        motion = motion_along(path, requirements, duration)
+        timed = motion.replaced(phases=(phase.retimed(0.0, motion.duration),))
+        return task.plan_ending(timed, end)
+
+    direct = along(path)
+    if not requirements.keep_out and not requirements.objects:
+        return direct
+    return past_obstacles(task, direct, path, along)
 
 
 def plan_like(

@@ -20,7 +20,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.motion import Motion, Phase, concatenated
+from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import RolledLegs, SlackSplit, end_of_action, split_hitch
@@ -403,6 +403,32 @@ def flight_over(task: StepTask, spots: Array, *, in_order: bool) -> StepPlan:
     goal[:, 2] = max(altitude, float(np.max(before.drones[:, 2])))
     check_hover(task, goal, "over the spots")
     return StepPlan(approach_motion(task, goal), replace(before, drones=goal))
+
+
+def descent(task: StepTask) -> StepPlan:
+    """Return the plan of free cables whose drones descend straight to the ground."""
+    from hitchopt.planners.forming.stages import stage, straight_lines
+
+    before = task.before
+    requirements = task.requirements
+    flat = np.array([1.0, 1.0, 0.0])
+    floor = requirements.floor * np.array([0.0, 0.0, 1.0])
+    landed = before.drones * flat + floor
+    flight = straight_lines(before.team, requirements.limits, before.drones, landed)
+    motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
+    return StepPlan(motion, replace(before, drones=landed))
+
+
+def rolled_plan(task: StepTask, end: Array, phase: Phase) -> StepPlan:
+    """Return the plan that rolls pairs to the angles ``end`` (clasps,) [rad]; no vertex moves."""
+    from hitchopt.planners.forming.laying import RollPath, roll_motion
+
+    hitch = task.hitch
+    start = hitch.roll if task.before.open_roll is None else task.before.open_roll
+    motion = roll_motion(RollPath(hitch, start, end), task.requirements, phase)
+    drones = motion.drones.coefficients[-1, ..., -1]
+    open_roll = None if np.array_equal(end, hitch.roll) else end
+    return StepPlan(motion, replace(task.before, drones=drones, open_roll=open_roll))
 
 
 MIN_LARGER_ERRORS = 1e-3

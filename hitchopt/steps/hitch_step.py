@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from hitchopt.hitch import Hitch
-from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action
-from hitchopt.planners.rests import IDLE, check_at_rest, rest_motion
+from hitchopt.planners.rests import check_at_rest
 from hitchopt.planners.routes import RouteSearch, action_plan, rolling_action_plan
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.step import Legs, Step
@@ -36,16 +36,6 @@ class HitchStep(Step):
     def check_end(self, end: Hitch, task: StepTask) -> None:
         """Raise InfeasibleError if the hitch after the step breaks a limit at rest."""
         check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
-
-    def in_phase(
-        self, task: StepTask, motion: Motion | None, end: Hitch, remark: str = ""
-    ) -> Motion:
-        """Return a planner's motion as the step's phase; for None the hitch at rest."""
-        if motion is None:
-            phase = Phase(self.name, task.index, 0.0, 0.0, remark)
-            return rest_motion(end, task.requirements, self.prescribed_duration or IDLE, phase)
-        phase = Phase(self.name, task.index, 0.0, motion.duration, remark)
-        return motion.replaced(phases=(phase,))
 
 
 class NonstopStep(HitchStep):
@@ -96,7 +86,7 @@ class ShapeStep(NonstopStep):
         search = RouteSearch(
             task,
             end.hitch,
-            Phase(self.name, task.index, 0.0, 0.0, tension=tension),
+            replace(self.phase(task), tension=tension),
             own=partial(self.direct_plan, task, end),
             duration=self.prescribed_duration,
             replaces_slow=self.searches_faster_routes,
@@ -128,13 +118,17 @@ class ActionStep(ShapeStep):
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan of the action to its end hitch."""
-        phase = Phase(self.name, task.index, 0.0, 0.0)
         reason = "legs are to change" if self.legs is not None else end.reason
-        duration = self.prescribed_duration
-        return action_plan(task, self.action(task), end.hitch, phase, duration, reason)
+        return action_plan(
+            task,
+            self.action(task),
+            end.hitch,
+            self.phase(task),
+            self.prescribed_duration,
+            reason,
+        )
 
     def rolling_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan of the action with legs that roll on the way."""
-        phase = Phase(self.name, task.index, 0.0, 0.0)
         duration = self.prescribed_duration
-        return rolling_action_plan(task, self.action(task), end.hitch, phase, duration)
+        return rolling_action_plan(task, self.action(task), end.hitch, self.phase(task), duration)

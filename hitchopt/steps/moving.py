@@ -18,11 +18,11 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.candidates import Candidate
 from hitchopt.planners.ends import End, end_of_morph
-from hitchopt.planners.rests import hover_motion
-from hitchopt.planners.routes import past_obstacles, plan_like, straight_plan
+from hitchopt.planners.rests import hover_motion, rest_motion
+from hitchopt.planners.routes import plan_like, rigid_plan, straight_plan
 from hitchopt.planners.settling import settling_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.hitch_step import ActionStep, HitchStep, NonstopStep, ShapeStep
@@ -93,7 +93,7 @@ class Hold(HitchStep):
         if before.grasp is not None and before.grasp.hold is not None:
             return self.plan_of_moves(task, task.grasp, [task.held.rest(self.seconds)])
         if before.open_roll is not None:
-            closed = self.in_phase(task, None, task.hitch)
+            closed = self._at_rest(task)
             drones = PiecewisePolynomial.constant(closed.drones.breaks, before.drones)
             phases = tuple(replace(phase, state=CableState.ROLLING) for phase in closed.phases)
             return StepPlan(closed.replaced(drones=drones, phases=phases), before)
@@ -103,7 +103,11 @@ class Hold(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch at rest."""
-        return task.plan_ending(self.in_phase(task, None, task.hitch), task.hitch)
+        return task.plan_ending(self._at_rest(task), task.hitch)
+
+    def _at_rest(self, task: StepTask) -> Motion:
+        """Return the motion of the hitch at rest."""
+        return rest_motion(task.hitch, task.requirements, self.seconds, self.phase(task))
 
 
 @documented
@@ -130,7 +134,7 @@ class Settle(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of vertices that over-travel about their places."""
-        return settling_plan(task, self.prescribed_duration, Phase(self.name, task.index, 0.0, 0.0))
+        return settling_plan(task, self.prescribed_duration, self.phase(task))
 
 
 @dataclass(frozen=True)
@@ -209,15 +213,13 @@ class Morph(ShapeStep):
     def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
         """Yield the plan on the route of an earlier one, if any, before all others."""
         if self.like is not None:
-            phase = Phase(self.name, task.index, 0.0, 0.0)
-            ends = self.end(task).hitch, phase, self.duration
+            ends = self.end(task).hitch, self.phase(task), self.duration
             yield Candidate("earlier route", partial(plan_like, task, self.like, *ends))
         yield from super().ways(task)
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan along straight lines."""
-        phase = Phase(self.name, task.index, 0.0, 0.0)
-        return straight_plan(task, end.hitch, phase, self.duration)
+        return straight_plan(task, end.hitch, self.phase(task), self.duration)
 
 
 class MoveStep(ActionStep):
@@ -618,26 +620,10 @@ class Transport(NonstopStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
-        from hitchopt.planners.morph.morph import check_loads
-        from hitchopt.planners.path import RigidPath
-        from hitchopt.planners.timing.timed_motion import motion_along
-
-        path = RigidPath(task.hitch, np.asarray(self.to), self.yaw)
         end = self.end(task).hitch
         self.check_end(end, task)
-        if path.is_constant:
-            return task.plan_ending(self.in_phase(task, None, end), end)
-        check_loads(path, task.requirements.limits)
-
-        def along(path: RigidPath) -> StepPlan:
-            """Return the plan along a path."""
-            motion = motion_along(path, task.requirements, self.duration)
-            return task.plan_ending(self.in_phase(task, motion, end), end)
-
-        direct = along(path)
-        if not task.requirements.keep_out and not task.requirements.objects:
-            return direct
-        return past_obstacles(task, direct, path, along)
+        goal = np.asarray(self.to), self.yaw
+        return rigid_plan(task, *goal, end, self.phase(task), self.duration)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
         """Return no edits, and the goal as the new centre."""

@@ -21,7 +21,7 @@ from hitchopt.hitch.hitch import checked_polygon, checked_roll
 from hitchopt.hitch.pairs import FIXED
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import MAX_ROBOTS
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState
@@ -396,6 +396,10 @@ class Step(Record, ABC):
         Raises InfeasibleError if the end breaks a limit at rest or no feasible route was found,
         HitchoptError if a planner failed.
         """
+
+    def phase(self, task: StepTask) -> Phase:
+        """Return the phase of the step, which planners retime."""
+        return Phase(self.name, task.index, 0.0, 0.0)
 
     def with_duration(self, task: StepTask, motion: Motion) -> Motion:
         """Return the motion slowed down to the prescribed duration, if there is one."""

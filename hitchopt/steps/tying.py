@@ -15,15 +15,16 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, Assignment
-from hitchopt.motion.motion import CableState, Phase
 from hitchopt.planners.candidates import first_certified
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.rests import check_at_rest
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence
 from hitchopt.planners.tying import (
+    descent,
     end_of_form,
     flight_over,
     holding_assignment,
+    rolled_plan,
     tyings,
     untyings,
 )
@@ -212,22 +213,8 @@ class RollStep(Step):
 
     def rolled(self, task: StepTask, end: Array) -> StepPlan:
         """Return the plan that rolls pairs to the angles ``end`` (clasps,) [rad]."""
-        from hitchopt.planners.forming.laying import RollPath, roll_motion
-
-        hitch = task.hitch
-        start = _current_roll(task)
-        phase = Phase(self.name, task.index, 0.0, 0.0)
-        motion = roll_motion(RollPath(hitch, start, end), task.requirements, phase)
-        open_roll = None if np.array_equal(end, hitch.roll) else end
-        drones = motion.drones.coefficients[-1, ..., -1]
-        after = replace(task.before, drones=drones, open_roll=open_roll)
-        return StepPlan(self.with_duration(task, motion), after)
-
-
-def _current_roll(task: StepTask) -> Array:
-    """Return the roll (clasps,) [rad] at the start of a step, also with an open vertex."""
-    open_roll = task.before.open_roll
-    return task.hitch.roll if open_roll is None else open_roll
+        plan = rolled_plan(task, end, self.phase(task))
+        return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
 
 @documented
@@ -338,18 +325,5 @@ class Land(SpotsStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the descent to the ground, after a flight to the spots if there are any."""
-        plan = plan_in_sequence([*self.flights, self._descent], task)
+        plan = plan_in_sequence([*self.flights, descent], task)
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
-
-    def _descent(self, task: StepTask) -> StepPlan:
-        """Return the plan of a descent to the ground."""
-        from hitchopt.planners.forming.stages import stage, straight_lines
-
-        before = task.before
-        requirements = task.requirements
-        flat = np.array([1.0, 1.0, 0.0])
-        floor = requirements.floor * np.array([0.0, 0.0, 1.0])
-        landed = before.drones * flat + floor
-        flight = straight_lines(before.team, requirements.limits, before.drones, landed)
-        motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
-        return StepPlan(motion, replace(before, drones=landed))
