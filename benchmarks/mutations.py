@@ -69,7 +69,7 @@ MUTATIONS = (
     Mutation("cables.py", "length - self.scaled(savings)", "length + self.scaled(savings)", "carry_box", "sign of what rims save"),
     Mutation("grips.py", "diameter = 2.0 * rows", "diameter = 2.2 * rows", "grip_drum", "radius of arcs"),
     Mutation("cables.py", "drones[:, 0::2], noise=spans.noise).norm_upper", "0.9 * drones[:, 0::2] - 0.1 * drones[:, 1::2], noise=spans.noise).norm_upper", "form_triangle", "a factor of spans"),
-    Mutation("clasps.py", "ahead.cross(behind)", "behind.cross(ahead)", "triangle", "sense of turning"),
+    Mutation("convexity.py", "ahead.cross(behind)", "behind.cross(ahead)", "triangle", "sense of turning"),
     Mutation("arena.py", "np.concatenate([above_lower, below_upper], axis=2)", "below_upper", "tie_carry_untie", "lower walls missed"),
     Mutation("clearance.py", "yield pairs_with_shape(motion, points, drones.names, name, Solid(slab), pose)", "yield from ()", "grip_drum", "bodies missed"),
     Mutation("drone_forces.py", "hover = self.mass * GRAVITY", "hover = -self.mass * GRAVITY", "triangle", "sign of gravity"),

@@ -31,22 +31,16 @@ from hitchopt.errors import (
     time_left,
 )
 from hitchopt.geometry import ConvexPolygon, Outline
-from hitchopt.mission.changes import (
-    SPACE_CHECKS,
-    Change,
-    broken_constraints,
-    change_of,
-    constraint_name,
-    knobs_of,
+from hitchopt.mission.alternatives import (
     retuning_changes,
     rim_changes,
     roll_changes,
-    size_of,
     spread_changes,
-    two_cable_tension,
     unit_change,
     vertex_changes,
 )
+from hitchopt.mission.changes import Change, broken_constraints, change_of, constraint_name, size_of
+from hitchopt.mission.knobs import SPACE_CHECKS, knobs_of, two_cable_tension
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED, solve_problem
 from hitchopt.motion.motion import HoldBy

@@ -32,7 +32,7 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.mission.changes import can_be_stiffer
+from hitchopt.mission.alternatives import can_be_stiffer
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
 from hitchopt.mission.teams import CertifiedFlight, schedule_teams
 from hitchopt.motion.flight import Flight

@@ -19,15 +19,9 @@ from hitchopt.drones.controllers import Tube
 from hitchopt.errors import UnitWarning
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission import repair
-from hitchopt.mission.changes import (
-    change_of,
-    knobs_of,
-    retuning_changes,
-    rim_changes,
-    scaled_outlines,
-    team_edit,
-    with_edits,
-)
+from hitchopt.mission.alternatives import retuning_changes, rim_changes
+from hitchopt.mission.changes import change_of, with_edits
+from hitchopt.mission.knobs import knobs_of, scaled_outlines, team_edit
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair import Suggestion, find_suggestions, fitting_cables
 from hitchopt.mission.solving import contents, solve_problem

@@ -21,7 +21,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.exports.lint import lint
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.live.abort import Aborts
-from hitchopt.mission.changes import retuning_changes
+from hitchopt.mission.alternatives import retuning_changes
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.steps.moving import Hold
