@@ -213,16 +213,17 @@ class Plan(OneLine):
     def after_loss(self, robot: int | str, t: float, how: str = "hold") -> Plan:
         """Return the plan after the loss of a robot at time t [s].
 
-        It begins with the loss: all fly on for 0.1 s and stop with the plan's clock, and the lost
-        robot's drones, the team ``lost``, have dropped their cable and rise. Of the others, the
-        team ``chain``, both neighbours at its clasps move to where the chain is in balance, and
-        tensions rise again. Its robots are numbered in the problem's order without the lost one.
+        It begins with the loss: all fly on, for 0.1 s or to the next prepared stop, and stop with
+        the plan's clock; the lost robot's drones, the team ``lost``, have dropped their cable and
+        rise. Of the others, the team ``chain``, both neighbours at its clasps move to where the
+        chain is in balance, and tensions rise again. Its robots are numbered in the problem's order
+        without the lost one.
 
         Parameters
         ----------
         robot: its number, or ``a.2`` of one of several teams.
         t: time at which it is lost, while a hitch is taut [s].
-        how: ``hold`` the chain, or ``land`` in order: untie it, and land.
+        how: ``hold`` the chain, or ``land`` in order: untied, or else tied.
 
         Raises
         ------

@@ -331,8 +331,8 @@ def abort(directory: Path, how: str | None, every: float) -> None:
 def react(directory: Path, lose: str, at: float, output: Path, then: str) -> None:
     """Plan what follows the loss of a robot in flight, and certify it.
 
-    Writes a plan to OUT. It begins with the loss: all fly on for 0.1 s and stop, the lost robot's
-    drones rise, and the others form a chain.
+    Writes a plan to OUT. It begins with the loss: all fly on, for 0.1 s or to the next prepared
+    stop, the lost robot's drones rise, and the others form a chain.
     """
     from hitchopt.live.losing import after_loss_of
     from hitchopt.motion.plan_file import read_plan

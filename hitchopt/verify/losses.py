@@ -40,7 +40,9 @@ from .spans import Row, Spans, fault_row, prove, worst_row
 TAUT_SHARE = 0.9  # least tension of a taut hitch, over the team's
 RISE = 2.1  # height of the rise of a lost robot's drones, over the semi-axis of ellipsoids
 SWEEPS = 4  # number of triangles that a chord sweeps on the way of its end
-STATED_TOL = 2e-3  # [m] tolerance of ways in the table ``after_loss``
+STATED_TOL = 2e-3  # [m], [s] tolerance of the table ``after_loss``
+REACTION = 0.1  # [s] from a loss until the others react
+TIGHTENING = 1.0, 3.0  # shortest rise of tensions: [s], and in periods of cables as strings
 DAMPING_RATIO = 5.0 / 6.0  # of loops of which only the stiffness is stated
 STOCK = {  # gains kp, kd of controllers, horizontal and vertical, and whether they are per mass
     "mellinger": ((0.40, 1.25), (0.2, 0.4), False),
@@ -472,6 +474,48 @@ def table_faults(
         yield 0.0, told.keys() != moved.keys(), f"{name}: other drones move"
         short = [x for x in moved if told.get(x, 0.0) < moved[x] - STATED_TOL]
         yield 0.0, bool(short), f"{name}: ways are longer"
+        least = least_seconds(p, rows, on, lost)
+        excused = bool(stated["after_loss"].get("phases"))
+        seconds = row.get("seconds", math.inf if excused else 0.0)
+        yield 0.0, seconds < least - STATED_TOL, f"{name}: tension takes at least {least:.2f} s"
+
+
+def least_seconds(p: Plan, rows: Moves, on: Mask, lost: int) -> float:
+    """Return a lower bound of the time [s] until tension is back after the loss of a cable.
+
+    At the worst time the fastest drone stops, then both ends move as far as they must at any time,
+    by the limits of the plan, and then tensions rise.
+    """
+    limits, others = p.limits, np.arange(p.n) != lost
+    s = Spans.of(p, on, np.arange(p.N))
+    stop = float(np.max(norm(s.point(s.item[:, 0], 1).v))) / limits["acceleration"]
+    s = Spans.of(p, on, np.flatnonzero(rows.lost == lost))
+    j = s.item[:, 0]
+    ways = (place_after(s, rows, j) - s.point(rows.drone[j])).norm().low
+    way = max(float(np.min(ways[j == x])) for x in np.unique(j))
+    ramp = fastest_ramp(max(way, 0.0), *(limits[x] for x in ("speed", "acceleration", "jerk")))
+    periods = 2.0 * p.length[others, 0] * np.sqrt(p.weight / G / p.team[others, 0])
+    shortest, count = TIGHTENING
+    tightening = max(shortest, count * float(np.max(periods)))
+    return float(REACTION + stop + ramp + tightening)
+
+
+def fastest_ramp(distance: float, speed: float, acceleration: float, jerk: float) -> float:
+    """Return the time [s] of the fastest straight motion from rest to rest."""
+
+    def rise(peak: float) -> float:
+        """Return the time in which the speed rises to its peak."""
+        if peak * jerk >= acceleration**2:
+            return peak / acceleration + acceleration / jerk
+        return 2.0 * math.sqrt(peak / jerk)
+
+    if speed * rise(speed) <= distance:
+        return distance / speed + rise(speed)
+    low, high = 0.0, speed
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if middle * rise(middle) <= distance else (low, middle)
+    return 2.0 * rise(low)
 
 
 def read_stated(folder: Path) -> dict[str, Any] | None:

@@ -69,6 +69,14 @@ def _shorter_way(content: Content) -> None:
     content["after_loss"]["robots"][0]["ways"]["q1"] -= 0.1
 
 
+def _sooner(content: Content) -> None:
+    content["after_loss"]["robots"][2]["seconds"] *= 0.5
+
+
+def _never(content: Content) -> None:
+    del content["after_loss"]["robots"][2]["seconds"]
+
+
 def _robot_left_out(content: Content) -> None:
     del content["after_loss"]["robots"][2]
 
@@ -83,7 +91,8 @@ def _unsaid(content: Content) -> None:
 
 
 @pytest.mark.parametrize(
-    "lie", [_other_drones, _shorter_way, _robot_left_out, _lighter_drone, _unsaid]
+    "lie",
+    [_other_drones, _shorter_way, _sooner, _never, _robot_left_out, _lighter_drone, _unsaid],
 )
 def test_lies_of_the_certificate_are_refused(
     lie: Callable[[Content], None], tmp_path: Path
