@@ -13,7 +13,7 @@ from hitchopt.hitch.losses import displacements
 from hitchopt.lab.simulation.cuts import task_with_cut
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import loss_outcome
-from hitchopt.lab.simulation.ropes import hanging
+from hitchopt.lab.simulation.ropes import bend_lengths, bends_about, hanging
 from hitchopt.lab.simulation.settings import Loss, Settings
 from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.lab.simulation.world import check_valid
@@ -52,6 +52,20 @@ def test_a_rope_that_is_let_go_falls_freely_and_others_stay() -> None:
     assert world.tensions[world.edge_cables == 0][[0, -1]].tolist() == [0.0, 0.0]
     assert np.min(world.nodes[world.node_cables == 0][:, 2]) < 2.5
     assert np.max(world.nodes[world.node_cables == 0][:, 2]) < 2.95  # nothing reaches the drones
+
+
+def test_neighbours_are_shorter_by_the_bends_that_vanish() -> None:
+    (task,) = Task.of(square().flight).teams
+    bends = bend_lengths(task, 0.012, 0.05)
+    shorter = bends_about(task, 0.012, 0.05, 1)
+    np.testing.assert_allclose(shorter, [bends[1], 0.0, bends[2], 0.0])
+    assert np.min(bends) > 0.005
+    world = world_of(1.5, 1.5)
+    before = world.model.flexedge_length0.copy()
+    for by in (0.02, 0.01):  # not one after the other
+        world.shorten(np.array([0.0, by]))
+    changed = np.bincount(world.edge_cables, before - world.model.flexedge_length0)
+    np.testing.assert_allclose(changed, [0.0, 0.01], atol=1e-12)
 
 
 @pytest.mark.parametrize("robot", [0, 2])

@@ -59,6 +59,8 @@ LOSS_TIME = 2.5  # Time after the loss of a drone with more substeps [s]
 # Number of substeps during that time: fast sliding at its clasp would strain ropes by more than 2
 # %
 LOSS_SUBSTEPS = 3
+# Times after a cable is let go [s] between which all others are loose, without its bends
+LOOSE_TIMES = (0.5, 1.0)
 
 ROUNDING = 1e-9  # Rounding error of sums of periods [s]
 
@@ -313,7 +315,7 @@ class FlightInProgress:
         world, task, substeps = self._world, self._task, 1
         is_loose = False
         if self._lost is not None and time >= self._lost.time:
-            is_loose = self._lose(self._lost)
+            is_loose = self._lose(self._lost, time)
             substeps = LOSS_SUBSTEPS if time < self._lost.time + LOSS_TIME else 1
         if index != self._moment.index:
             self._moment = self._moment_at(index)
@@ -332,12 +334,17 @@ class FlightInProgress:
         world.step(self._substeps, loose=is_loose, substeps=substeps)
         self._observe(time)
 
-    def _lose(self, lost: _Lost) -> bool:
-        """Stop the motors of a lost drone, or let go of a cable; return whether ropes whip."""
+    def _lose(self, lost: _Lost, time: float) -> bool:
+        """Stop the motors of a lost drone, or let go of a cable; return whether ropes whip.
+
+        Others are as long as without the bends that vanish before a chain of them is taut.
+        """
         if lost.cable is None:
             self._fleet.stop(lost.drone)
             return False
         self._world.let_go(lost.cable)
+        share = float(np.interp(time - lost.time, LOOSE_TIMES, (0.0, 1.0)))
+        self._world.shorten(share * lost.bends)
         return True
 
     def _observe(self, time: float) -> None:
@@ -447,6 +454,9 @@ class _Lost(NamedTuple):
     time: float
     """[s]"""
 
+    bends: Array
+    """(n,) [m], additional lengths of other cables for their bends about a cable that is let go."""
+
 
 def _lost(task: Task, settings: Settings) -> _Lost | None:
     """Return what is lost, if anything; InputError if invalid."""
@@ -459,4 +469,8 @@ def _lost(task: Task, settings: Settings) -> _Lost | None:
     if lost.time >= end:
         raise InputError(lost.key, lost.time, f"before the flight ends at {end:g} s", "lower it")
     drone = names.index(lost.drones[0])
-    return _Lost(drone, drone // 2 if lost.cut else None, lost.time)
+    if not lost.cut:
+        return _Lost(drone, None, lost.time, np.zeros(task.team.robots))
+    preset, cable = settings.preset, drone // 2
+    bends = ropes.bends_about(task.teams[0], preset.diameter, preset.segment, cable)
+    return _Lost(drone, cable, lost.time, bends)

@@ -314,6 +314,15 @@ def thickness_allowance(task: TeamTask, diameter: float, segment: float) -> Arra
     return allowance
 
 
+def bends_about(task: TeamTask, diameter: float, segment: float, cable: int) -> Array:
+    """Return the ``bend_lengths`` of other cables about one of them (n,) [m]."""
+    layout, allowance = task.team.layout, np.zeros(task.team.robots)
+    longer = bend_lengths(task, diameter, segment)
+    for own, other in ((layout.ahead, layout.behind), (layout.behind, layout.ahead)):
+        np.add.at(allowance, own[other == cable], longer[other == cable])
+    return allowance
+
+
 def bend_lengths(task: TeamTask, diameter: float, segment: float) -> Array:
     """Return the additional length of each cable of a clasp due to thickness (clasps,) [m].
 

@@ -163,6 +163,7 @@ class World:
         # Addresses (2n, 6) of velocities and rates
         self._moving_dofs: Index = np.concatenate([self.drone_dofs, self.drone_dofs + 3], axis=1)
         self._wrenches = np.zeros((2 * count, 6))
+        self._edge_lengths = self.model.flexedge_length0.copy()
         self._held = np.ones(len(self.edge_cables), dtype=np.bool_)  # edges of constant length
         self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
         self._stepping = float(model.opt.timestep), self._edge_time
@@ -211,6 +212,11 @@ class World:
         self.model.flexedge_rigid[edges] = True  # these have no constraints
         elements = self.model.flex_elem.reshape(-1, 2)
         elements[edges] = elements[edges + [1, -1]]
+
+    def shorten(self, by: Array) -> None:
+        """Let cables be shorter than at first, by lengths (n,) [m]."""
+        shorter = (by / self.ropes.segments)[self.edge_cables]
+        self.model.flexedge_length0[:] = self._edge_lengths - shorter
 
     @property
     def held(self) -> NDArray[np.bool_]:
