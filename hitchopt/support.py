@@ -156,7 +156,8 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
     ),
     (Feature.REACTION, Neighbour.OBJECTS): Refusal("the team carries objects, or flies near them"),
     (Feature.SURVIVING, Neighbour.OBJECTS): Refusal(
-        "omitted with objects, whose distances from what falls and swings are not bounded",
+        "omitted with objects: those that are held fall, as all cables are loose until they are a "
+        "chain, and distances of others from what falls and swings are not bounded",
         "plan without objects",
         key="limits.survive",
     ),

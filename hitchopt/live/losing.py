@@ -25,7 +25,7 @@ from hitchopt.hitch.losses import Losses
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import HOLD, Aborts
 from hitchopt.motion.flight import Flight, TeamMotion, team_label
-from hitchopt.motion.motion import JOINT, CableState, HoldBy, Motion, Phase, concatenated
+from hitchopt.motion.motion import JOINT, CableState, Motion, Phase, concatenated
 from hitchopt.motion.retiming import MIN_SPACING, padded, resting, shifted, slice_time
 from hitchopt.motion.states import fitted_hitch
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
@@ -58,6 +58,9 @@ LOST = "lost"
 
 ASIDE = 3.0
 """Distance of the lost robot's drones from all others, seen from above, over the radius."""
+
+NOTHING_BEARS = "without one of its cables all others are loose until they are a chain"
+"""Why nothing that a hitch holds is held after a loss, by a grip or by clasps below it."""
 
 HOW = ("hold", "land")
 """What follows once the chain is taut."""
@@ -278,8 +281,7 @@ def _taut_run(motion: Motion, time: float, robot: str) -> Motion:
             return run
     for phase in motion.overlapping(time - JOINT, time + 2.0 * JOINT):
         if phase.hold is not None:
-            falls = "falls" if phase.hold.by is HoldBy.GRIP else "tips over, or falls"
-            reason = f"the hitch holds {phase.hold.object}, which {falls} without one of its cables"
+            reason = f"the hitch holds {phase.hold.object}, which falls: {NOTHING_BEARS}"
             raise InfeasibleError([], f"loss of {robot} at t = {time:.4g} s: {reason}")
     spans = [f"{each[0]:.4g} to {each[-1]:.4g} s" for each in (run.drones.breaks for run in runs)]
     bound = f"while a hitch is taut, {' or '.join(spans) or 'never in this plan'}"

@@ -122,4 +122,5 @@ def _moving(flown: TeamMotion, stops: list[PreparedStop]) -> Iterator[dict[str, 
     """Yield when a taut hitch is slack before the plan stops after a loss."""
     for _, _, (first, last), is_taut in _answers(flown.motion, stops):
         if not is_taut:
-            yield {"team": flown.name, "start": first, "end": last, "remains": MOVING}
+            phase = flown.label(flown.motion.overlapping(first, last)[0].name)
+            yield {"phase": phase, "start": first, "end": last, "remains": MOVING}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,7 +22,7 @@ from hitchopt.live.links import Operator
 from hitchopt.live.losing import after_loss_of
 from hitchopt.live.player import Setpoints
 from hitchopt.motion.flight import TeamMotion
-from hitchopt.motion.motion import HoldBy, PhaseHold
+from hitchopt.motion.motion import CableState, HoldBy, PhaseHold
 from hitchopt.planners.losses import after_loss
 from hitchopt.planners.reactions import DELAY, prepared_stops
 
@@ -277,9 +278,30 @@ def test_the_operator_types_the_robot_that_is_lost(monkeypatch: pytest.MonkeyPat
         assert operator.commands() == (["lose a.2", "back", "land"], True)
 
 
-def test_what_is_held_falls() -> None:
+@pytest.mark.parametrize("by", list(HoldBy))
+def test_what_is_held_falls(by: HoldBy) -> None:
     motion = square().motion
-    hold = PhaseHold("drum", HoldBy.GRIP, (0, 1, 2, 3))
+    hold = PhaseHold("drum", by, (0, 1, 2, 3))
     held = motion.replaced(phases=tuple(replace(phase, hold=hold) for phase in motion.phases))
     with pytest.raises(ho.InfeasibleError, match=r"loss of 1 at t = 0\.5 s: .* drum, which falls"):
         after_loss_of(ho.Flight.of(held), "1", 0.5)
+
+
+def test_times_are_stated_from_which_the_hitch_loosens_before_it_stops() -> None:
+    """Of a hitch whose cables are free from a time on at which drones move."""
+    motion = square().motion
+    speeds = np.linalg.norm(motion.drones.at(motion.drones.breaks, 1), axis=-1)
+    slack = float(motion.drones.breaks[np.argmax(np.min(speeds, axis=1))])
+    first = motion.phases[0]
+    phases = (
+        first.retimed(0.0, slack),
+        replace(first.retimed(slack, motion.duration), state=CableState.FREE),
+    )
+    flight = ho.Flight.of(motion.replaced(phases=phases))
+    rows = [row for row in after_loss(flight)["phases"] if "end" in row]
+    assert rows
+    assert rows[-1]["end"] == pytest.approx(slack)
+    for time in np.linspace(0.0, slack, 12):
+        stated = any(row["start"] <= time <= row["end"] for row in rows)
+        with pytest.raises(ho.InfeasibleError) if stated else nullcontext():
+            after_loss_of(flight, "1", float(time))
