@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,7 +125,7 @@ def planned(data: dict[str, Any]) -> Planned:
     without = replace(need, limits=with_fields(need.limits, survive=None))
     copies = [plan.motion.replaced(requirements=each) for each in (need, without)]
     first, second = (
-        min(timed(lambda of=each: certify(ho.Flight.of(_copied(of))))[1] for _ in range(REPEATS))
+        min(timed(partial(certify, ho.Flight.of(_copied(each))))[1] for _ in range(REPEATS))
         for each in copies
     )
     margin = min(part.worst().worst for part in after_losses(plan.motion)) - 1.0
@@ -155,8 +156,9 @@ def cut(plan: ho.Plan, loss: Loss, preset: str, friction: float) -> dict[str, An
     outcome = loss_outcome(flight)
     assert outcome is not None  # a robot is lost
     touches = [pair for pair in outcome.others if loss.cable not in pair]
-    layout, record = plan.motion.team.layout, flight.record
-    remain = (layout.ahead != loss.cable) & (layout.behind != loss.cable)
+    team, record = plan.motion.team, flight.record
+    layout, lost = team.layout, team.drone_names.index(loss.drones[0]) // 2
+    remain = (layout.ahead != lost) & (layout.behind != lost)
     planned_places = plan.motion.vertices.at(found.rest)[layout.clasps[remain]]
     places = np.mean(record.vertices[record.t > record.t[-1] - LAST][:, remain], axis=0)
     error = float(np.max(np.linalg.norm(places - planned_places, axis=-1)))

@@ -10,7 +10,7 @@ import numpy as np
 from hitchopt.checks.losses import AfterLoss, after_losses
 from hitchopt.hitch.losses import Losses, displacement_by_energy
 from hitchopt.motion.flight import Flight, TeamMotion
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.planners.reactions import DELAY, Chain, PreparedStop, prepared_stops, rests_taut
 
 ASSUMPTION = "no other cable pulls with more than twice its tension, along the planned direction"
@@ -122,5 +122,5 @@ def _moving(flown: TeamMotion, stops: list[PreparedStop]) -> Iterator[dict[str, 
     """Yield when a taut hitch is slack before the plan stops after a loss."""
     for _, _, (first, last), is_taut in _answers(flown.motion, stops):
         if not is_taut:
-            phase = flown.label(flown.motion.overlapping(first, last)[0].name)
+            phase = flown.label(flown.motion.overlapping(first - JOINT, last + 2.0 * JOINT)[0].name)
             yield {"phase": phase, "start": first, "end": last, "remains": MOVING}
