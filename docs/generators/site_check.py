@@ -22,7 +22,7 @@ PHONE = (390, 844)
 """Width and height of a small screen [pixels]."""
 
 SEARCHES = {
-    "clasp": "reference/glossary",
+    "clasp": "reference/index",
     "separation 1.05": "explanation/certificate",
     "fly faster": "how_to/write_a_problem",
     "exit code 3": "how_to/exit_code_3",
