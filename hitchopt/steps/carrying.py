@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,54 +10,39 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up
-from hitchopt.geometry import ConvexPolygon, Outline
-from hitchopt.geometry.vectors import length, rotated
+from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase, PhaseHold
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import (
-    CONTACT_GAP,
-    footing,
-    poses_of,
-    stacked_on,
-    surface_below,
-)
+from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, stacked_on, surface_below
 from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.carrying.around import (
+    PLACE_TOLERANCE,
+    altitude_over,
+    orientations_around,
+    requirements_closing,
+    slowed_to,
+)
 from hitchopt.planners.carrying.hinge import check_hinge
 from hitchopt.planners.carrying.holds import GripHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
     AROUND_SPEED,
-    CLOSING_SPEED,
     LIFT_SPEED,
     GraspState,
     check_opens,
     check_pull,
     one_phase,
 )
-from hitchopt.planners.carrying.polygons import (
-    EDGE_MARGIN,
-    HoldPolygons,
-    grip_polygons,
-    rest_polygons,
-)
+from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import RolledLegs, end_of_morph
 from hitchopt.planners.grasps import Closing, HoldJudge, altitude_around
 from hitchopt.planners.routes import OBSTACLE_CHECKS, plan_to_hitch
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.moving import Morph, Transport
-from hitchopt.steps.step import (
-    Knob,
-    ObjectOf,
-    Place,
-    Seconds,
-    Stage,
-    Step,
-    Yaw,
-    checks_relaxed_by,
-)
+from hitchopt.steps.step import Knob, ObjectOf, Place, Seconds, Stage, Step, Yaw, checks_relaxed_by
 from hitchopt.steps.straddling import Tie, Untie
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, Points
@@ -76,15 +60,9 @@ __all__ = [  # noqa: RUF022, in the order of the keys of problem files
     "TransportObject",
 ]
 
-OBJECT_MARGIN = 0.10
-"""[m] Clearance of the lowest drone over objects, in addition to ``separation.radius``."""
-
 MIN_FOOTING = 0.02
 """Minimum distance of a centre of mass from the edges of its support after setting down [m]: the
 position error of objects."""
-
-PLACE_TOLERANCE = 1e-6
-"""[m] Positions that differ by less are the same."""
 
 MAX_VIA = 100
 """Maximum number of waypoints of one object."""
@@ -124,52 +102,6 @@ def step_motion(
     return step.with_duration(task, motion)
 
 
-def altitude_over(task: StepTask, to: Outline) -> float:
-    """Return the lowest altitude [m] of the hitch that clears all objects below its way.
-
-    That is the straight one from its polygon to another, ``to``. Its drones pass within the reach
-    of both hitches.
-    """
-    requirements = task.requirements
-    hitch = task.hitch
-    team = hitch.team
-    start = hitch.polygon.centroid
-    onward = to.centroid - start
-    slack = float(np.max(team.cable_length)) - float(np.min(to.edge_lengths))
-    reach = max(
-        float(np.max(length(hitch.drones[:, :2] - start))),
-        float(np.max(length(to.vertices - to.centroid))) + slack,
-    )
-    sink = max(hitch.altitude - float(np.min(hitch.drones[:, 2])), 0.0)
-    clearance = requirements.separation.radius + OBJECT_MARGIN + sink
-    lowest = -math.inf
-    for body in requirements.objects.values():
-        radius = max(slab.section.circumradius for slab in body.slabs)
-        ahead = (body.at[:2] - start) @ onward / max(float(onward @ onward), PLACE_TOLERANCE)
-        nearest = start + np.clip(ahead, 0.0, 1.0) * onward
-        if length(body.at[:2] - nearest) < reach + radius + clearance:
-            lowest = max(lowest, float(body.at[2]) + body.upper + clearance)
-    return lowest
-
-
-def slowed_to(requirements: Requirements, speed: float) -> Requirements:
-    """Return requirements with a limit of the speed [m/s] of drones and vertices."""
-    limits = requirements.limits
-    slow = with_fields(
-        limits,
-        speed=min(limits.speed, speed),
-        vertex_speed=min(limits.vertex_speed, speed),
-    )
-    return replace(requirements, limits=slow)
-
-
-def requirements_closing(task: StepTask, name: str) -> Requirements:
-    """Return requirements at low speed without the object that cables may touch."""
-    objects = task.requirements.objects
-    others = {other: body for other, body in objects.items() if other != name}
-    return slowed_to(replace(task.requirements, objects=others), CLOSING_SPEED)
-
-
 @documented
 @dataclass(frozen=True)
 class Enclose(Step):
@@ -187,25 +119,14 @@ class Enclose(Step):
         return first_orientation(self.orientations(task), task)
 
     def orientations(self, task: StepTask) -> list[Callable[[StepTask], StepPlan]]:
-        """Return the planners of hitches around the object, in order of decreasing capacity.
-
-        There are several if obstacles may be in the way of some.
-        """
-        requirements = task.requirements
-        team = task.before.team
+        """Return the planners of hitches around the object, in order of decreasing capacity."""
         body = object_of(task, self.object)
-        gap = requirements.separation.object + EDGE_MARGIN
-        if body.rim is None:
-            polygons = grip_polygons(self.object, body, team, requirements, gap)
-            orientations = _turned(polygons, body, task.hitch.polygon)
-        else:
-            rests = rest_polygons(self.object, body, team.robots, gap)
-            orientations = [_renumbered(rest, body, task.hitch.polygon) for rest in rests]
-        obstacles = len(requirements.objects) > 1 or requirements.keep_out or requirements.arena
-        count = len(orientations) if obstacles else 1
+        orientations = orientations_around(
+            self.object, task.before.team, task.requirements, task.hitch.polygon
+        )
         return [
-            partial(self._around, body=body, polygons=polygons, polygon=polygon)
-            for polygons, polygon in orientations[:count]
+            partial(self._around, body=body, polygons=polygons, polygon=around)
+            for polygons, around in orientations
         ]
 
     def _around(
@@ -232,7 +153,7 @@ class Enclose(Step):
         above = self._above(task, polygon, altitude)
         parts = [above.motion]
         near = task.within(requirements, above.after)
-        top = max(altitude_over(near, polygon), altitude)
+        top = max(altitude_over(near.hitch, polygon, requirements), altitude)
         slow = slowed_to(requirements, AROUND_SPEED)
         for height, within in ((top, requirements), (altitude, slow)):
             if near.hitch.altitude - height >= PLACE_TOLERANCE:
@@ -250,7 +171,7 @@ class Enclose(Step):
         the way, or else where it arrives.
         """
         hitch = task.hitch
-        lowest = max(altitude_over(task, polygon), altitude)
+        lowest = max(altitude_over(hitch, polygon, task.requirements), altitude)
         level = max(hitch.altitude, lowest)
         start = hitch.polygon.centroid
         rising = [Transport(np.append(start, level)).plan]
@@ -294,73 +215,6 @@ def first_orientation(
 def certified_plan(planner: Callable[[StepTask], StepPlan], task: StepTask) -> StepPlan:
     """Return a planner's certified plan."""
     return require_certified(planner(task))
-
-
-GRIP_TURNS = 6
-"""Number of turns about a disc, within its grip's symmetry."""
-
-
-def _turned(
-    polygons: HoldPolygons, body: SolidObject, polygon: Outline
-) -> list[tuple[HoldPolygons, ConvexPolygon]]:
-    """Return the polygons of a grip and the one around, the nearest first.
-
-    They are turned about a disc, and by half a turn about a section that is symmetric to it.
-    """
-    nearest, around = _renumbered(polygons, body, polygon)
-    centre = body.section.centroid
-    turned = [(nearest, around)]
-    for turn in _symmetric_turns(body, len(polygon)):
-        both = HoldPolygons(
-            around=centre + rotated(nearest.around - centre, turn),
-            clasps=centre + rotated(nearest.clasps - centre, turn),
-        )
-        turned.append(_renumbered(both, body, polygon, turn=False))
-    return turned
-
-
-def _symmetric_turns(body: SolidObject, vertices: int) -> list[float]:
-    """Return other turns [rad] about an object after which its section is the same."""
-    if body.section.radius is not None:
-        symmetry = 2.0 * math.pi / vertices
-        return [symmetry * k / GRIP_TURNS for k in (1, -1, 2, -2, 3)]
-    core = body.section.core
-    opposite = 2.0 * body.section.centroid - core
-    distances = length(opposite[:, None] - core)
-    is_symmetric = np.max(np.min(distances, axis=1)) < PLACE_TOLERANCE
-    return [math.pi] if is_symmetric else []
-
-
-def _renumbered(
-    polygons: HoldPolygons, body: SolidObject, polygon: Outline, *, turn: bool = True
-) -> tuple[HoldPolygons, ConvexPolygon]:
-    """Return the polygons numbered for the shortest paths of vertices, and the one around.
-
-    With ``turn`` polygons about a disc are also turned.
-    """
-    start = polygon.vertices - polygon.centroid
-    if turn and body.rim is None and body.section.radius is not None:
-        angle = _nearest_turn(polygons.around, start) - body.yaw
-        polygons = HoldPolygons(rotated(polygons.around, angle), rotated(polygons.clasps, angle))
-    around = polygon_at(body, polygons.around)
-    end = around.vertices - around.centroid
-    squares = [np.sum((np.roll(end, -k, axis=0) - start) ** 2) for k in range(len(end))]
-    shift = int(np.argmin(squares))
-    numbered = HoldPolygons(
-        around=np.roll(polygons.around, -shift, axis=0),
-        clasps=np.roll(polygons.clasps, -shift, axis=0),
-        outer=tuple(np.roll(clasps, -shift, axis=0) for clasps in polygons.outer),
-    )
-    return numbered, around.renumbered(shift)
-
-
-def _nearest_turn(polygon: Array, goal: Array) -> float:
-    """Return the angle [rad] that turns a polygon (n, 2) [m] nearest to a goal in any numbering."""
-    to_complex = np.array([1.0, 1.0j])
-    vertices = polygon @ to_complex
-    goals = goal @ to_complex
-    products = [np.vdot(np.roll(vertices, -k), goals) for k in range(len(vertices))]
-    return float(np.angle(max(products, key=abs)))
 
 
 HoldMethod = Literal["rest", "grip"]  # Method of holding an object
@@ -427,7 +281,8 @@ class Grasp(TensionStep):
             key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
             raise RequestError(key, None, bound, "add a rim, or grasp it by: grip")
         judge = hold_judge(task, tension)
-        closing_task = task.within(requirements_closing(task, self.object), task.before)
+        slow = requirements_closing(task.requirements, self.object)
+        closing_task = task.within(slow, task.before)
 
         def held(closing: Closing, reserve: float) -> StepPlan:
             """Return the plan that closes the hitch below the rim and rises to it."""
@@ -603,7 +458,8 @@ class Loosen(Step):
         held = replace(freed, hold=hold)
         low = task.plan_with_object(sinking, held, body.place, planner.gap).after
         around = Morph(polygon_at(body, freed.polygons.around))
-        opening = around.plan(task.within(requirements_closing(task, self.object), low))
+        slow = requirements_closing(task.requirements, self.object)
+        opening = around.plan(task.within(slow, low))
         motion = step_motion(self, task, [sinking, opening.motion], sinking.phases[0].hold)
         return StepPlan(motion, replace(opening.after, grasp=freed))
 
@@ -620,7 +476,7 @@ class Leave(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical ascent."""
         polygon = task.hitch.polygon
-        altitude = max(task.hitch.altitude, altitude_over(task, polygon))
+        altitude = max(task.hitch.altitude, altitude_over(task.hitch, polygon, task.requirements))
         over = Transport(np.append(polygon.centroid, altitude))
         plan = over.plan(task.within(slowed_to(task.requirements, AROUND_SPEED), task.before))
         motion = step_motion(self, task, [plan.motion])
