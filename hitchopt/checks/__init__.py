@@ -1,6 +1,6 @@
 """The certificate, computed from polynomials alone: one module per family of checks, no planner."""
 
 from hitchopt.checks.certificate import Certificate, CertificateError, Check
-from hitchopt.checks.registry import certify, merged
+from hitchopt.checks.certifying import certify, merged
 
 __all__ = ["Certificate", "CertificateError", "Check", "certify", "merged"]

@@ -277,8 +277,8 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     entry and slows to rest, where the entry's plan continues. Exits with code 3 if no abort was
     found from some times.
     """
+    from hitchopt.checks.certifying import certificate_of
     from hitchopt.checks.drones import largest_at_rest, thrust_share, tilt
-    from hitchopt.checks.registry import certificate_of
     from hitchopt.live.abort import abort_table, read_aborts, save_aborts
     from hitchopt.motion.plan_file import read_plan
 

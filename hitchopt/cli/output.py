@@ -152,7 +152,7 @@ def show_plan(title: str, flight: ho.Flight, certificate: ho.Certificate) -> Non
     message = f"{phase_table(flight.phases)}\n\n{certificate}\n"
     message = f"{title}\n{message}" if title else message
     say(message, title=title, phases=phases, certificate=certificate.to_dict())
-    from hitchopt.checks.registry import below_ground
+    from hitchopt.checks.certifying import below_ground
 
     low = below_ground(flight)
     if low is not None:

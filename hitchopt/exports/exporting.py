@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.checks.certifying import certificate_of, certify
 from hitchopt.checks.drones import largest_rate
-from hitchopt.checks.registry import certificate_of, certify
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.drones.controllers import RECORDED_TUBE, STOCK, Gains, Tube, stiffest_gains
 from hitchopt.errors import (

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial, reduce
 from itertools import pairwise
 
-from hitchopt.checks.registry import certificate_of
+from hitchopt.checks.certifying import certificate_of
 from hitchopt.exports.format import ExportTask
 from hitchopt.exports.held_tension import REST_TIME
 from hitchopt.motion.flight import Flight

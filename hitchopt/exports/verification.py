@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hitchopt.checks.certificate import Check, worst_of
+from hitchopt.checks.certifying import check_of
 from hitchopt.checks.drones import ACCELERATION, largest_rate
-from hitchopt.checks.registry import RULE_OF, RULES, check_of
+from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING, value_cache
 from hitchopt.errors import FileError, Violation

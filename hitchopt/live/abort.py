@@ -24,7 +24,8 @@ import numpy as np
 
 from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.arena import height_above_floor
-from hitchopt.checks.registry import RULE_OF, RULES, check_of
+from hitchopt.checks.certifying import check_of
+from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS

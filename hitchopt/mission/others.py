@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from hitchopt.checks import certify
-from hitchopt.checks.registry import rest_continuity
+from hitchopt.checks.certifying import rest_continuity
 from hitchopt.errors import InputError
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.plan_file import saved_others

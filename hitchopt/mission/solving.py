@@ -14,8 +14,9 @@ import numpy as np
 
 from hitchopt.checks import Certificate, merged
 from hitchopt.checks.arena import ARENA, nearest_wall
+from hitchopt.checks.certifying import with_rules
 from hitchopt.checks.linking import DURATION
-from hitchopt.checks.registry import RULES, with_rules
+from hitchopt.checks.registry import RULES
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.drones.controllers import FlightController, Tube, of_same_firmware
 from hitchopt.errors import (

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.checks.registry import RULE_OF, certify, merged
+from hitchopt.checks.certifying import certify, merged
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import HoldBy, Motion, PhaseHold

@@ -11,7 +11,8 @@ import pytest
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.across import PAIRS
-from hitchopt.checks.registry import RULE_OF, check_of
+from hitchopt.checks.certifying import check_of
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.flight import Flight, TeamMotion

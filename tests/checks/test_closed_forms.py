@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.registry import RULE_OF, below_ground
+from hitchopt.checks.certifying import below_ground
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.separation import leg_remedy
 from hitchopt.errors import EXCHANGED
 from hitchopt.geometry import ConvexPolygon, regular_polygon

@@ -192,7 +192,7 @@ def test_rules_appear_in_the_certificate_as_ones_own() -> None:
 
 
 def test_rules_leave_the_other_checks_and_later_certificates_as_they_are() -> None:
-    from hitchopt.checks.registry import certificate_of
+    from hitchopt.checks.certifying import certificate_of
 
     plan = planned("triangle")
     before = ho.certify(plan)

@@ -14,7 +14,8 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify, tracking
-from hitchopt.checks.registry import RULES, TEAM_REPORTS, certificate_of
+from hitchopt.checks.certifying import certificate_of
+from hitchopt.checks.registry import RULES, TEAM_REPORTS
 from hitchopt.checks.rule import approach
 from hitchopt.checks.separation import closeness
 from hitchopt.hitch import Team

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.checks.registry import certify
+from hitchopt.checks.certifying import certify
 from hitchopt.checks.vertex_errors import error_in_words, errors_at_rests, states_at_rests
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.requirements import Requirements

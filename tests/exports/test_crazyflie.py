@@ -26,7 +26,7 @@ from generators.drone_lists import write_checklist
 from ruamel.yaml import YAML
 
 import hitchopt as ho
-from hitchopt.checks.registry import certificate_of
+from hitchopt.checks.certifying import certificate_of
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.exporting import Export

@@ -19,7 +19,7 @@ import pytest
 from click.testing import CliRunner
 
 from hitchopt.checks.certificate import CertificateError, Check
-from hitchopt.checks.registry import certificate_of
+from hitchopt.checks.certifying import certificate_of
 from hitchopt.cli import main
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Violation
 from hitchopt.exports.directory import (

@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt.checks import registry
+from hitchopt.checks import certifying
 from hitchopt.checks.certificate import CertificateError
-from hitchopt.checks.registry import certificate_of
+from hitchopt.checks.certifying import certificate_of
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.contents import WINDOW, FileContents, Trajectory
 from hitchopt.exports.lint import load
@@ -97,9 +97,9 @@ def test_a_motion_is_certified_once_and_another_one_again(
     exported(read, "csv", tmp_path / "files")
     evaluated = list[str]()
     for flight in (solved.flight, read):
-        assert registry.certificate_of(flight, evaluated.append).certified
+        assert certifying.certificate_of(flight, evaluated.append).certified
     assert evaluated == []
-    registry.certificate_of(read.stretched(1.1), evaluated.append)
+    certifying.certificate_of(read.stretched(1.1), evaluated.append)
     assert evaluated
 
 

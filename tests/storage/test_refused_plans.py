@@ -15,7 +15,8 @@ from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt import verify as second
-from hitchopt.checks.registry import RULE_OF, check_of
+from hitchopt.checks.certifying import check_of
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.cli import main as main_command
 from hitchopt.motion.plan_file import FORMAT, read_plan, write_plan
 from hitchopt.verify import links, teams

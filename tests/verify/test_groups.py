@@ -20,7 +20,8 @@ import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.across import check_across
-from hitchopt.checks.registry import RULE_OF, check_of
+from hitchopt.checks.certifying import check_of
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import magnitude
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError

@@ -13,7 +13,8 @@ import pytest
 
 from hitchopt import verify as second
 from hitchopt.checks import certify
-from hitchopt.checks.registry import RULE_OF, check_of
+from hitchopt.checks.certifying import check_of
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.values import Array, Indices
