@@ -115,6 +115,12 @@ class Planned(NamedTuple):
     """By how much ways and balance after any loss at least keep their limits, over these."""
 
 
+def _certification_time(motion: ho.Motion) -> float:
+    """Return the fastest of some times [s] of certifying a motion."""
+    flights = [ho.Flight.of(_copied(motion)) for _ in range(REPEATS)]
+    return min(timed(partial(certify, flight))[1] for flight in flights)
+
+
 def planned(data: dict[str, Any]) -> Planned:
     """Return a plan, verified, with the times of its certification."""
     plan = ho.solve(ho.problem_from_dict(data))
@@ -124,10 +130,7 @@ def planned(data: dict[str, Any]) -> Planned:
     need = plan.motion.requirements
     without = replace(need, limits=with_fields(need.limits, survive=None))
     copies = [plan.motion.replaced(requirements=each) for each in (need, without)]
-    first, second = (
-        min(timed(partial(certify, ho.Flight.of(_copied(each))))[1] for _ in range(REPEATS))
-        for each in copies
-    )
+    first, second = map(_certification_time, copies)
     margin = min(part.worst().worst for part in after_losses(plan.motion)) - 1.0
     return Planned(plan, proven, (first, second), margin)
 
