@@ -31,7 +31,7 @@ from hitchopt.trajectory.piecewise import locate, merged_breaks, on_breaks
 LONGER_LEGS = "use a longer cable or a smaller polygon"
 LARGER_POLYGON = "a larger polygon"
 UNEQUAL_LEGS = "choose legs that differ more at the vertex"
-OTHER_LEGS = "change leg lengths by another cable length or polygon size"
+OTHER_LEGS = "change the leg lengths: use cables of another length, or another polygon"
 
 PARALLEL = 0.02
 """Largest component along an edge, of the difference of unit vectors along the legs beyond it, up

@@ -228,7 +228,7 @@ PHRASES: dict[str, Editor | tuple[Editor, ...]] = {
     r"raise (limits\.\w+)": scale(1.0),
     r"(?:allow )?a smaller (separation\.\w+|limits\.leg)": scale(-1.0),
     r"lower ((?:separation|limits|team)\.\w+)": scale(-1.0),
-    "change leg lengths by another cable length or polygon size": LENGTHS_OF_LEGS,
+    "change the leg lengths: use cables of another length, or another polygon": LENGTHS_OF_LEGS,
     "(?:use )?(?:a )?longer cables?|lengthen the cable": scale(1.0, "team.cable_length"),
     "(?:use )?(?:a )?shorter cables?": scale(-1.0, "team.cable_length"),
     "(?:use )?a smaller polygon|shorten the edge": scale_outlines(-1.0),
