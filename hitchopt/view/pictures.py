@@ -45,12 +45,14 @@ PLOT_EDGES = {"left": 0.585, "right": 0.915, "bottom": 0.15, "top": 0.85, "hspac
 PLAN_EDGES = {"left": 0.055, "right": 0.505, "bottom": 0.15, "top": 0.85}
 STORYBOARD_EDGES = {"left": 0.012, "right": 0.515, "bottom": 0.03, "top": 0.85}
 LEGEND_GAP = 0.17  # Distance of the legend from a plan below panels, as a fraction of its height
+PLAN_GAP = 0.1  # Distance of the legend from a plan elsewhere, likewise
 GROUND = 0.1  # Depth below the ground that is drawn from the side [m]
 VIEW_GAP = 0.22  # Distance of the views from above and from the side, over their mean width
 LABEL_AT = -0.1  # Position of the plots' labels, as a fraction of their width
 CARD_RESOLUTION = 65  # Resolution of a notebook's picture [dots per inch]: 850 pixels wide
 POINTS = 150_000  # Number of sampled drone positions: more is finer than pixels
 SAMPLES = (60, 600)  # Range of the number of sampled times
+KEEP_OUT: Any = {"facecolor": "0.88", "edgecolor": "0.4", "hatch": "////"}
 FORBIDDEN: Any = {"facecolor": "none", "edgecolor": "0.8", "hatch": "////", "linewidth": 0}
 
 CURVE_WIDTH = 1.4  # Width of a curve [points]
@@ -404,32 +406,39 @@ def draw_closeness(flight: Flight, closest: Closeness, width: float | None = Non
 
 
 def _draw_plan(figure: Figure, flight: Flight, place: SubplotSpec | None = None) -> None:
-    """Draw the storyboard; with few moments also, and without cables only, the plan from above.
+    """Draw the storyboard; with few moments also, and without cables only, the views of the plan.
 
-    Plans in which heights change are also seen from the side then, unless on a page. The position
-    is on the left by default.
+    The position is on the left by default; elsewhere it is a page.
     """
     shots = painter.choose_shots(flight) if _has_cables(flight) else ()
     on_page = place is not None
     if place is None:
         margins = STORYBOARD_EDGES if len(shots) > painter.FEW_PANELS else PLAN_EDGES
         place = figure.add_gridspec(1, 1, **margins)[0]
+    with_side = not on_page and _changes_heights(flight)
     if not shots:
-        draw_plan_view(figure.add_subplot(place), flight)
+        _draw_views(figure, place, flight, with_side=with_side)
     elif len(shots) > painter.FEW_PANELS:
         painter.draw_plan_storyboard(place, flight, shots)
     else:
         parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.04)
         painter.draw_plan_storyboard(parts[0], flight, shots)
-        if on_page or not _changes_heights(flight):
-            draw_plan_view(figure.add_subplot(parts[1]), flight, LEGEND_GAP)
-            return
-        views = parts[1].subgridspec(1, 2, wspace=VIEW_GAP)
-        above = figure.add_subplot(views[0])
-        draw_plan_view(above, flight)
-        draw_side_view(figure.add_subplot(views[1]), flight)
-        middle = 1.0 + 0.5 * VIEW_GAP, -LEGEND_GAP
-        cast("Legend", above.get_legend()).set_bbox_to_anchor(middle, above.transAxes)
+        _draw_views(figure, parts[1], flight, LEGEND_GAP, with_side=with_side)
+
+
+def _draw_views(
+    figure: Figure, place: SubplotSpec, flight: Flight, gap: float = PLAN_GAP, *, with_side: bool
+) -> None:
+    """Draw the plan from above, and next to it from the side; the legend is ``gap`` below."""
+    if not with_side:
+        draw_plan_view(figure.add_subplot(place), flight, gap)
+        return
+    views = place.subgridspec(1, 2, wspace=VIEW_GAP)
+    above = figure.add_subplot(views[0])
+    draw_plan_view(above, flight)
+    draw_side_view(figure.add_subplot(views[1]), flight)
+    middle = 1.0 + 0.5 * VIEW_GAP, -gap
+    cast("Legend", above.get_legend()).set_bbox_to_anchor(middle, above.transAxes)
 
 
 def _changes_heights(flight: Flight) -> bool:
@@ -498,7 +507,7 @@ FROM_ABOVE = View((0, 1), painter.Camera.at_angles(-90.0, 90.0), ("x [m]", "y [m
 FROM_THE_SIDE = View((0, 2), painter.Camera.at_angles(-90.0, 0.0), ("x [m]", "z [m]"))
 
 
-def draw_plan_view(axes: Axes, flight: Flight, gap: float = 0.1) -> None:
+def draw_plan_view(axes: Axes, flight: Flight, gap: float = PLAN_GAP) -> None:
     """Draw a plan from above: start, paths, end and surroundings.
 
     ``gap`` is the distance of the legend below, as a fraction of the axes' height.
@@ -518,8 +527,9 @@ def draw_plan_view(axes: Axes, flight: Flight, gap: float = 0.1) -> None:
         handles += [style.marker("o", colour, INK, name) for colour, name in kinds]
     extent = flown.reshape(-1, 2)
     for prism in requirements.keep_out:
-        hatched: Any = {"fc": "0.88", "ec": "0.4", "hatch": "////", "label": "keep out"}
-        handles.append(axes.add_artist(Polygon(prism.polygon.vertices, **hatched)))
+        handles.append(
+            axes.add_artist(Polygon(prism.polygon.vertices, label="keep out", **KEEP_OUT))
+        )
     for solid, (x, y, *_) in zip(look.objects, ends.objects[-1], strict=True):
         corners = solid.faces.reshape(-1, 3)[:, :2] + [x, y]
         outline = corners[ConvexHull(corners).vertices]
@@ -541,6 +551,10 @@ def draw_side_view(axes: Axes, flight: Flight) -> None:
     """Draw a plan from the side, along y: start, paths, end and the ground."""
     separation, floor = flight.requirements.separation, flight.requirements.floor
     _draw_flight(axes, flight, FROM_THE_SIDE)
+    for prism in flight.requirements.keep_out:
+        x = prism.polygon.vertices[:, 0]
+        corner, size = (np.min(x), prism.lower), (np.ptp(x), prism.upper - prism.lower)
+        axes.add_artist(Rectangle(corner, *size, **KEEP_OUT))
     flown = _flown(flight)[..., [0, 2]].reshape(-1, 2)
     axes.axhline(floor, color="0.4", linewidth=0.8)
     _show_extent(axes, flown, separation.radius)

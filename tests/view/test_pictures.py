@@ -139,6 +139,24 @@ def test_climbing_plans_are_also_seen_from_the_side(climb: float) -> None:
     assert not any(axes.get_ylabel() == "z [m]" for axes in on_page.axes)
 
 
+def test_single_drones_that_change_heights_are_also_seen_from_the_side() -> None:
+    low, high = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]], [[0.0, 0.0, 2.0], [1.0, 0.0, 1.0]]
+    prism = ho.Prism([[0.3, 1.0], [0.5, 1.4], [0.7, 1.0]], 0.5, 1.5)
+    for goal, is_seen in ((high, True), (low[::-1], False)):
+        plan = ho.solve(low, ho.Fly(goal), team=ho.Swarm(2), keep_out=[prism])
+        figure = draw_summary(plan.flight, plan.certificate)
+        sides = [axes for axes in figure.axes if axes.get_ylabel() == "z [m]"]
+        assert len(sides) == is_seen
+        for axes in sides:
+            (wall,) = (each for each in axes.patches if isinstance(each, Rectangle))
+            assert wall.get_bbox().extents == pytest.approx([0.3, 0.5, 0.7, 1.5])
+        (legend,) = (axes.get_legend() for axes in figure.axes if axes.get_ylabel() == "y [m]")
+        assert legend is not None
+        figure.draw_without_rendering()
+        boxes = [axes.get_tightbbox() for axes in sides]
+        assert not any(legend.get_window_extent().overlaps(box) for box in filter(None, boxes))
+
+
 @pytest.mark.parametrize(
     ("made", "n"), [(partial(make_motion, thrusts=(2.6, 1.9)), 5), (make_motion, 3), (swarm, 4)]
 )
