@@ -16,7 +16,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
-from matplotlib.gridspec import SubplotSpec
+from matplotlib.gridspec import GridSpecFromSubplotSpec, SubplotSpec
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
@@ -417,28 +417,39 @@ def _draw_plan(figure: Figure, flight: Flight, place: SubplotSpec | None = None)
         place = figure.add_gridspec(1, 1, **margins)[0]
     with_side = not on_page and _changes_heights(flight)
     if not shots:
-        _draw_views(figure, place, flight, with_side=with_side)
+        extents = np.ptp(_flown(flight), axis=(0, 1)) + 2.0 * flight.requirements.separation.height
+        rows = place.subgridspec(2, 1, height_ratios=extents[1:]) if with_side else None
+        _draw_views(figure, place, flight, rows)
     elif len(shots) > painter.FEW_PANELS:
         painter.draw_plan_storyboard(place, flight, shots)
     else:
         parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.04)
         painter.draw_plan_storyboard(parts[0], flight, shots)
-        _draw_views(figure, parts[1], flight, LEGEND_GAP, with_side=with_side)
+        columns = parts[1].subgridspec(1, 2, wspace=VIEW_GAP) if with_side else None
+        _draw_views(figure, parts[1], flight, columns, LEGEND_GAP)
 
 
 def _draw_views(
-    figure: Figure, place: SubplotSpec, flight: Flight, gap: float = PLAN_GAP, *, with_side: bool
+    figure: Figure,
+    place: SubplotSpec,
+    flight: Flight,
+    both: GridSpecFromSubplotSpec | None,
+    gap: float = PLAN_GAP,
 ) -> None:
-    """Draw the plan from above, and next to it from the side; the legend is ``gap`` below."""
-    if not with_side:
-        draw_plan_view(figure.add_subplot(place), flight, gap)
-        return
-    views = place.subgridspec(1, 2, wspace=VIEW_GAP)
-    above = figure.add_subplot(views[0])
-    draw_plan_view(above, flight)
-    draw_side_view(figure.add_subplot(views[1]), flight)
-    middle = 1.0 + 0.5 * VIEW_GAP, -gap
-    cast("Legend", above.get_legend()).set_bbox_to_anchor(middle, above.transAxes)
+    """Draw the plan from above, in a place, or from above and from the side in ``both``.
+
+    The legend is below the place, at ``gap`` times its height.
+    """
+    above = figure.add_subplot(place if both is None else both[0])
+    draw_plan_view(above, flight, gap)
+    if both is not None:
+        draw_side_view(figure.add_subplot(both[1]), flight)
+        if both.nrows > 1:
+            above.set_aspect("equal", adjustable="box")  # above each other on one scale
+            above.set(xlim=above.dataLim.intervalx, ylim=above.dataLim.intervaly)
+        box = place.get_position(figure)
+        anchor = 0.5 * (box.x0 + box.x1), box.y0 - gap * box.height
+        cast("Legend", above.get_legend()).set_bbox_to_anchor(anchor, figure.transFigure)
 
 
 def _changes_heights(flight: Flight) -> bool:
