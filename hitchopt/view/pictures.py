@@ -61,6 +61,7 @@ LINE_HEIGHT = 11.0  # Height of a line of text [points]
 MAX_DRAWN = 1e9
 CHARACTER_WIDTH = 4.3  # Width of a character of a phase's name [points]
 SLANTED_WIDTH = 13.5  # Width of a line of text at 45° [points]
+DIGITS = " 0123456789"  # Characters of a number that ends a phase's name
 MAX_CHARACTERS = 18  # Maximum number of characters of a slanted line
 CLOSE_SIZE = (10.0, 4.8)  # Width and height of the figure of the closest neighbours [inch]
 CLOSE_SAMPLES = 800  # Number of points of a curve in that figure
@@ -298,10 +299,10 @@ def plot_from_above(flight: Flight, axes: Axes | None) -> Axes:
 def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
     """Shade every other phase on all axes, and write their names above the first.
 
-    Phases of one name in sequence, such as ``swap 1`` and ``swap 2``, are named together. Names of
-    short phases are slanted, and moved apart where they would overlap; if they do not fit, those of
-    the longest phases are written. Long lines are cut at the start. Nothing is drawn after
-    ``duration`` [s], where the axes end.
+    Phases of a step such as ``swap 1`` and ``swap 2`` are named together. Names of short phases are
+    slanted, and moved apart where they would overlap; if they do not fit, those of the longest
+    phases are written. Long lines are cut at the start. Nothing is drawn after ``duration`` [s],
+    where the axes end.
     """
     figure: Any = axes[0].figure
     flown = [phase for phase in phases if phase.start < duration]
@@ -333,9 +334,9 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
 
 
 def _named_together(phases: Sequence[Phase]) -> list[Phase]:
-    """Return phases of which those in sequence that differ by a number at most are one."""
+    """Return phases of which those of a step in sequence that differ by a number are one."""
     named = list[Phase]()
-    for kind, group in groupby(phases, lambda phase: phase.name.rstrip(" 0123456789")):
+    for (_, kind), group in groupby(phases, lambda each: (each.step, each.name.rstrip(DIGITS))):
         first, *others = group
         named.append(replace(first, name=kind, end=others[-1].end) if others else first)
     return named

@@ -322,7 +322,7 @@ def test_names_of_many_short_phases_are_all_written_apart() -> None:
 
 def test_phases_that_differ_by_a_number_are_named_together() -> None:
     names = ["approach", "turn", "turn", "turn", "swap 1", "swap 2", "land"]
-    phases = [Phase(name, i, float(i), i + 1.0) for i, name in enumerate(names)]
+    phases = [Phase(name, 0, float(i), i + 1.0) for i, name in enumerate(names)]
     for width, is_slanted in ((3.5, True), (30.0, False)):
         axes = new_figure((width, 2.0)).add_subplot()
         draw_phases([axes], phases, 7.0)
@@ -387,7 +387,8 @@ def test_single_drones_are_shown_with_paths_ends_prisms_and_arena(n: int) -> Non
     (arena,) = (p for p in above.patches if isinstance(p, Rectangle))
     assert (arena.get_x(), arena.get_width()) == (1.0, 24.0)
     texts = words(figure)
-    assert any(f"{n} drones, 3 s; certified for all t" in text for text in texts)
+    drones = "1 drone" if n == 1 else f"{n} drones"
+    assert any(f"{drones}, 3 s; certified for all t" in text for text in texts)
     assert ("d0" in texts) is (n <= 30)
     assert len(figure.axes) == (3 if n == 1 else 4)  # a single drone has no separation
 
