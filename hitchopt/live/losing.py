@@ -20,7 +20,7 @@ from hitchopt.checks.losses import taut_runs
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry.vectors import unit
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.losses import Losses
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import HOLD, Aborts
@@ -45,7 +45,7 @@ from hitchopt.planners.reactions import (
     prepared_stops,
     rests_taut,
 )
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, check_choice, known, nonnegative
@@ -67,9 +67,6 @@ HOW = ("hold", "land")
 
 LANDINGS = ("release_and_land", "land")
 """How a chain lands, in order: untied, or else straight down with its hitch."""
-
-ORDER = 7
-"""Degree of the lengths of legs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +228,7 @@ def _after_loss(
         stops=reacts + reaction.stops,
         rest=stop.rest,
         starts=reacts + reaction.starts,
-        taut=reacts + reaction.taut,
+        taut=chain.duration - HOLD,
         rise=reaction.rise,
         lift=_lift_from(reaction.lift, reacts),
         robots=_robots(flown, name, robot),
@@ -301,18 +298,21 @@ def _chain_motion(reaction: Reaction, planned: Motion, *, level: bool) -> Motion
         planned.drones.replaced(planned.drones.coefficients[:, chain.drones]),
         planned.vertices.replaced(planned.vertices.coefficients[:, chain.points]),
     )
-    curves = zip(reaction.start_of_reach, reaction.end_of_reach, strict=True)
-    reach = _loose(chain, "reach", *(on_lines(reaction.progress, *ends) for ends in curves))
+    start, end, progress = reaction.start_of_reach, reaction.end_of_reach, reaction.progress
+    if level and chain.team.cable_density > 0.0:
+        hitch = _level_hitch(reaction)
+        end = hitch.drones, hitch.vertices
+        progress = line_progress(chain.team, chain.need.limits.with_reserve, start[0], end[0])
+    drones, vertices = (on_lines(progress, *ends) for ends in zip(start, end, strict=True))
+    reach = _loose(chain, "reach", drones, vertices)
     parts = [stopping]
     waits = reaction.starts - reaction.stops
     if waits > JOINT:
         wait = Phase("wait", 0, 0.0, waits, state=CableState.LOOSE)
         parts.append(resting(reach, waits, wait, first=True))
-    parts += [reach, _tightened(reaction)]
-    if level and chain.team.cable_density > 0.0:
-        parts.append(_levelling(reaction))
-    parts.append(resting(parts[-1], HOLD, Phase("hold", 1, 0.0, HOLD)))
-    return concatenated(parts)
+    tightened = _tightened(chain, *end)
+    held = resting(tightened, HOLD, Phase("hold", 1, 0.0, HOLD))
+    return concatenated([*parts, reach, tightened, held])
 
 
 def _loose(
@@ -324,53 +324,21 @@ def _loose(
     return Motion.single(chain.team, chain.need, drones, [phase]).replaced(vertices=vertices)
 
 
-def _tightened(reaction: Reaction) -> Motion:
-    """Return the motion of a chain in balance in which tensions rise."""
-    team = reaction.chain.team
-    drones, vertices = reaction.end_of_reach
+def _tightened(chain: Chain, drones: Array, vertices: Array) -> Motion:
+    """Return the motion at rest in which the tensions of a chain rise."""
+    team = chain.team
     seconds = rise_seconds(team)
     breaks = np.array([0.0, seconds])
+    legs = np.linalg.norm(drones - vertices[team.layout.anchors], axis=1)
     rising = team.tension[:, None] * SMOOTH
     return Motion(
         team,
-        reaction.chain.need,
+        chain.need,
         drones=PiecewisePolynomial.constant(breaks, drones),
         vertices=PiecewisePolynomial.constant(breaks, vertices),
-        legs=_legs(team, *(PiecewisePolynomial.constant(breaks, x) for x in (drones, vertices))),
+        legs=PiecewisePolynomial.constant(breaks, legs.reshape(-1, 2)),
         tensions=PiecewisePolynomial(breaks, rising[None]),
         phases=(Phase("tension", 0, 0.0, seconds),),
-    )
-
-
-def _legs(
-    team: Team, drones: PiecewisePolynomial, vertices: PiecewisePolynomial
-) -> PiecewisePolynomial:
-    """Return the lengths (n, 2) [m] of legs from their clasps to drones."""
-    legs = drones.coefficients - vertices.coefficients[:, team.layout.anchors]
-    nodes = bernstein.nodes(ORDER)
-    at_nodes = legs @ bernstein.basis(nodes, bernstein.degree(legs)).T
-    lengths = bernstein.interpolate(np.linalg.norm(at_nodes, axis=2))
-    return drones.replaced(lengths.reshape(len(lengths), -1, 2, ORDER + 1))
-
-
-def _levelling(reaction: Reaction) -> Motion:
-    """Return the motion of a chain in balance to the hitch at one height, by centimetres."""
-    team, need = reaction.chain.team, reaction.chain.need
-    start = reaction.end_of_reach
-    hitch = _level_hitch(reaction)
-    progress = line_progress(team, need.limits.with_reserve, start[0], hitch.drones)
-    drones, vertices = (
-        on_lines(progress, *ends)
-        for ends in zip(start, (hitch.drones, hitch.vertices), strict=True)
-    )
-    return Motion(
-        team,
-        need,
-        drones=drones,
-        vertices=vertices,
-        legs=_legs(team, drones, vertices),
-        tensions=PiecewisePolynomial.constant(progress.breaks, team.tension),
-        phases=(Phase("level", 0, 0.0, progress.duration),),
     )
 
 
