@@ -645,6 +645,7 @@ SURVIVABLE = CheckRule(
     proves="with ``limits.survive``, the fraction of (robot, time) after whose loss the others "
     "remain in balance; otherwise that of (drone, time) whose loss has a certified reaction, only "
     "by `check --survivable`",
-    unproven="what falls; loose cables that swing sideways; phases without a taut hitch",
+    unproven="what falls; loose cables that swing sideways; phases without a taut hitch, and times "
+    "at which a plan does not stop before one (`after_loss` lists both)",
 )
 """The remaining cables are an open chain in balance, which its drones reach clear of all others."""
