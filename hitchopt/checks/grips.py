@@ -1,4 +1,4 @@
-"""Gripped objects: checks ``grip`` and ``hinge``, the forces of edges on them, and lengths of arcs.
+"""Gripped objects: checks ``grip``, ``yaw`` and ``hinge``, forces of edges, and lengths of arcs.
 
 Edge k is straight from ``p_k`` to the object, along ``â_k``, turns there by ``θ_k``, seen from
 above, and is straight to ``p_{k+1}``, along ``b̂_k``. It pulls with ``T_k (b̂_k - â_k)``, and
@@ -28,6 +28,7 @@ from hitchopt.checks.spans import ROUNDING, cached, joined_arrays, leg_vectors
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
+from hitchopt.hitch.holding import YawTerms, least_stiffness_of_turn
 from hitchopt.motion.loads import held_pieces, tautness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, TAUT_STATES, HoldBy, Motion
 from hitchopt.objects import Section, SolidObject
@@ -41,6 +42,9 @@ GRIP_LIMIT = 1.5
 
 WRAP_GAP = 2e-5
 """[m] Largest gap or overlap of an edge and the section it is wrapped around."""
+
+MIN_FORCE = 1e-12
+"""[N] Smallest divisor of forces."""
 
 MIN_CHORD = 1e-9
 """[m] Arcs with shorter chords are their chords."""
@@ -337,18 +341,100 @@ def missing_force(spans: Gripped) -> Bound:
     """Return an object's missing force over the smallest tension; infinite without tension.
 
     It is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the carried fraction of its weight, or the moment
-    about its centre over its radius, both reduced by friction with its support.
+    about its centre over its radius, both reduced by friction with its support, which resists a
+    sliding turn with ``Section.friction_radius``.
     """
     body = spans.body
     needed = (spans.share.along_z() * GRAVITY + spans.acceleration) * body.mass
     force = spans.pulls.sum().sum() - needed
     arms = select(spans.corners, [1, 2]) - add_axis(add_axis(spans.centre))
-    moment = arms.cross(spans.pulls).sum().sum().norm_upper.value
+    moment = arms.cross(spans.pulls).sum().sum()
+    level_force = force.xy.norm_upper.value
     friction = body.friction * body.mass * GRAVITY * (1.0 - spans.share.upper.value)
-    push = np.maximum(force.xy.norm_upper.value, moment / body.section.circumradius)
-    horizontal = np.maximum(push - friction, 0.0)
+    turning = moment[2].norm_upper.value / body.section.friction_radius
+    on_support = np.hypot(level_force, turning)
+    unheld = np.maximum(on_support - friction, 0.0) / np.maximum(on_support, MIN_FORCE)
+    push = np.maximum(level_force, moment.norm_upper.value / body.section.circumradius)
+    horizontal = unheld * push
     missing = np.hypot(horizontal, force[2].norm_upper.value)
     return _ratio(missing, np.min(spans.tension.lower.value, axis=-1))
+
+
+def _yaw_limit(motion: Motion) -> float | None:
+    """Return the smallest stiffness of the yaw of gripped polygons [N m]; discs have none."""
+    objects = motion.requirements.objects
+    has_polygon = any(
+        objects[held.name].section.outline is not None for held in gripped_objects(motion)
+    )
+    return 0.0 if has_polygon else None
+
+
+def yaw_stiffness(spans: Gripped) -> Bound:
+    """Return the stiffness of the object's yaw [N m], as in ``YawTerms``; infinite at no load."""
+    section = spans.body.section
+    x = np.full(len(spans), 0.5)
+    if section.outline is None:
+        return Bound(np.full(len(spans), np.inf), x)
+    tables = spans.source.drones.coefficients
+    drones = spans.of_items(tables.reshape(len(tables), -1, 2, *tables.shape[2:]))
+    corners = in_object_frame(spans.pose, spans.corners).xy
+    clasps = select(corners, [0, 3])
+    contacts = select(corners, [1, 2])
+    parts = clasps - contacts
+    legs = in_object_frame(spans.pose, Enclosed(drones, spans.noise)).xy - clasps
+    tension = add_axis(spans.tension)
+    across = _left_of(parts)
+    across_legs = _left_of(legs)
+    per_length = tension * parts.norm.inverse
+    per_leg = tension * legs.norm.inverse
+    levers = parts.direction.dot(contacts - section.centroid)
+    by_levers = levers * per_length
+    turns = _with_error(levers * (tension + by_levers))
+    both = _with_error(-across * by_levers)
+    of_parts = _with_error(across * across[0] * per_length, across * across[1] * per_length)
+    of_legs = _with_error(
+        across_legs * across_legs[0] * per_leg, across_legs * across_legs[1] * per_leg
+    )
+    terms, errors = (
+        YawTerms(turn[..., 0, 0], move[..., 0, :], part, leg)
+        for turn, move, part, leg in zip(turns, both, of_parts, of_legs, strict=True)
+    )
+    is_carried = np.any(spans.share.c > 0.0, axis=(1, 2))
+    return Bound(np.where(is_carried, least_stiffness_of_turn(terms, errors), np.inf), x)
+
+
+def _left_of(vectors: Enclosed) -> Enclosed:
+    """Return unit vectors to the left of horizontal vectors."""
+    directions = vectors.direction
+    return Enclosed(directions.c[..., [1, 0], :] * [[-1.0], [1.0]], directions.r)
+
+
+def _with_error(*rows: Enclosed) -> tuple[Array, Array]:
+    """Return the middles of rows of components (…, rows, components), and their errors."""
+    low = np.stack([np.min(row.c, axis=-1) - np.asarray(row.r)[..., None] for row in rows], -2)
+    high = np.stack([np.max(row.c, axis=-1) + np.asarray(row.r)[..., None] for row in rows], -2)
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+def _least_stiff(motion: Motion, limit: float) -> WorstCase:
+    """Return the smallest stiffness of the yaw of an object that is carried."""
+    cases = [WorstCase(math.inf, 0.0), *_cases_of_gripped(motion, yaw_stiffness, "min", limit)]
+    return min(cases, key=lambda case: case.worst)
+
+
+YAW = CheckRule(
+    "yaw",
+    "N·m",
+    "min",
+    _yaw_limit,
+    (Evaluator(_least_stiff, HITCHED_STATE, formulas=(yaw_stiffness,)),),
+    "use longer cables, or give the object rounder corners",
+    group="forces",
+    bodies=(("held",),),
+    proves="moment per angle [N m] with which edges hold the yaw of a carried polygon",
+    unproven="how far the object turns before it is lifted",
+)
+"""Two cables that clasp next to an object's sides turn it about its corners."""
 
 
 MIN_HINGE = 0.03

@@ -40,6 +40,7 @@ RULES = (
     INTERLACING,
     clearance.OBJECT_CLEARANCE,
     grips.GRIP,
+    grips.YAW,
     grips.HINGE,
     support.SUPPORT,
     losses.LOSS_DISPLACEMENT,

@@ -97,6 +97,14 @@ class Section(ByValue):
         return float(np.max(length(self.core))) + self.rounding
 
     @property
+    def friction_radius(self) -> float:
+        """Moment of friction with a support over its force [m], for a disc of the same area.
+
+        Evenly pressed sections of other shapes have a larger one.
+        """
+        return 2.0 / 3.0 * math.sqrt(self.area / math.pi)
+
+    @property
     def sides(self) -> Array:
         """(m, 2, 2) [m]: ends of the core's sides."""
         core = self.core

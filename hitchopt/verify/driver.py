@@ -17,7 +17,7 @@ from .catenary import lowest_height
 from .drones import drones, thrust
 from .links import interlacing, roll_changes
 from .losses import losses, read_stated
-from .objects import clear_held, clear_objects, gripped, hinged, resting, support_below
+from .objects import clear_held, clear_objects, gripped, hinged, resting, steady, support_below
 from .reading import (
     CONTACT_TOL,
     DRAWN,
@@ -208,7 +208,9 @@ def hopeless(p: Plan) -> Iterator[Row]:
 def plan_rows(p: Plan) -> Iterator[Row]:
     """Yield the rows of all checks, several for some limits."""
     yield from (*consistency(p), *distances(p))
-    for check_of, b in product((resting, gripped, hinged, clear_held), range(len(p.bodies))):
+    for check_of, b in product(
+        (resting, gripped, steady, hinged, clear_held), range(len(p.bodies))
+    ):
         yield from check_of(p, b)
     yield from (*jumps(p), *interlacing(p), *vertex_errors(p))
 

@@ -17,6 +17,7 @@ from .arithmetic import (
     Index,
     Line,
     Mask,
+    concatenate,
     maximum,
     minimum,
     norm,
@@ -186,6 +187,11 @@ def resting(p: Plan, b: int) -> Iterator[Row]:
     yield prove("support m min", 0.0, lifted, support_margin)
 
 
+def loaded_grip(p: Plan, b: int) -> Mask:
+    """Return the pieces on which a body that edges grip is carried, in part or entirely."""
+    return p.grip[b] & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
+
+
 def gripped(p: Plan, b: int) -> Iterator[Row]:
     """Prove that edges around a gripped body hold it, balance it, and are tangent to it."""
     body, stem, on, cables = p.bodies[b], p.bodies[b].stem, p.grip[b], range(p.n)
@@ -214,10 +220,11 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
             leaving, arriving = s.edge(k)
             for end, u in ((0, -leaving.unit()), (1, arriving.unit())):
                 pull = u * s.edge_pull(k)
-                force = force + pull
                 moment = moment + (s.point(p.edges[1 + end, k]) - centre).cross(pull)
+                force = force + pull
         friction = (-share + 1.0) * (body.friction * body.mass * G)
-        standing = maximum(force[:2].norm() - friction, force[2].norm()).where(~lifted)
+        push = concatenate(force[:2], moment[2] * (1.0 / stem.mean_radius)).norm() - friction
+        standing = maximum(push, force[2].norm()).where(~lifted)
         flying = maximum(force.norm(), moment.norm() * (1.0 / radius)).where(lifted)
         tension = maximum(minimum(*(s.edge_pull(k) for k in cables)), MIN_TENSION)
         return (flying + standing) * tension.inverse()
@@ -246,13 +253,54 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
                 errors.append((n[0] * to[1] - n[1] * to[0] + stem.radius).where(valid))
         return maximum(*errors)
 
-    slides = np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
-    yield prove("grip ratio min", 1.5, Spans.of(p, on & slides, [0], [body.name]), grip_ratio)
+    yield prove("grip ratio min", 1.5, Spans.of(p, loaded_grip(p, b), [0], [body.name]), grip_ratio)
     yield prove("equilibrium ratio max", 5e-3, Spans.of(p, on, [0], [body.name]), residual)
     yield prove("wrap m max", 3 * WRAP_TOL, Spans.of(p, on, cables, p.cables), wrap_error)
     yield prove(
         "wrap m max", CONTACT_TOL, Spans.of(p, on & p.active[b], [0], [body.name]), rotation
     )
+
+
+def steady(p: Plan, b: int) -> Iterator[Row]:
+    """Prove that cables around a carried polygon grow longer as it turns, seen from above.
+
+    Tension is constant, drones are at rest, and the body and clasps yield: all coordinates but the
+    body's turn, first, are eliminated from the second derivatives of the energy.
+    """
+    body, stem, size = p.bodies[b], p.bodies[b].stem, 3 + 2 * p.n
+
+    def stiffness(s: Spans, _: Index) -> Line:
+        """Return the stiffness of yaw; the coordinates are turn, body (1, 2) and clasps."""
+        H, centre = [[s.zero] * size for _ in range(size)], s.world(b, body.centre)[:2]
+
+        def lengthen(x: Line, T: Line, left: dict[int, Line]) -> None:
+            """Add ``T m m' / |x|`` of a part of which coordinates move an end to the left."""
+            ratio = T * x.norm().inverse()
+            for i, j in product(left, left):
+                H[i][j] = H[i][j] + left[i] * left[j] * ratio
+
+        for k, end in product(range(p.n), (0, 1)):
+            T, vertex = p.tensions.on(s, k), int((p.begin, p.end)[end][k])
+            clasp, leg = 3 + 2 * (vertex - p.N), s.leg(2 * k + end)[:2]
+            part = (s.edge(k)[1] if end else -s.edge(k)[0])[:2]
+            for x in (leg, part):
+                u = x.unit()
+                left = {clasp: -u[1], clasp + 1: u[0]}
+                if x is part:
+                    arm = u.dot(s.point(vertex)[:2] - centre)
+                    left = {0: -arm, 1: u[1], 2: -u[0], **left}
+                    H[0][0] = H[0][0] - T * arm
+                    for i in (1, 2, clasp, clasp + 1):
+                        H[0][i], H[i][0] = (H[0][i] + T * left[i],) * 2
+                lengthen(x, T, left)
+        for last in reversed(range(1, size)):
+            inverse = H[last][last].inverse()
+            for i, j in product(range(last), range(last)):
+                H[i][j] = H[i][j] - H[i][last] * H[last][j] * inverse
+        return H[0][0]
+
+    polygons = loaded_grip(p, b) & (not stem.round)
+    yield prove("yaw N·m min", 0.0, Spans.of(p, polygons, [0], [body.name]), stiffness)
 
 
 def hinged(p: Plan, b: int) -> Iterator[Row]:
@@ -281,8 +329,7 @@ def hinged(p: Plan, b: int) -> Iterator[Row]:
                 moment = moment + (s.point(p.edges[1 + end, k]) - base).cross(pull)
         return (down * float(stem.depth(stem.centroid)) - moment[:2].norm()) * (1.0 / weight)
 
-    loaded = held & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
-    clasps = Spans.of(p, loaded, range(p.n), p.labels[p.V])
+    clasps = Spans.of(p, loaded_grip(p, b) & p.two, range(p.n), p.labels[p.V])
     yield prove("hinge m min", HINGE + max(p.tube), clasps, hinge)
     standing = held & p.bent & (not body.fixed)
     yield prove("support m min", 0.0, Spans.of(p, standing, [0], [body.name]), foot)

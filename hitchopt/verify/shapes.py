@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations, pairwise, product
 from typing import Any
@@ -69,6 +70,8 @@ class Slab:
         area = (area * norm(self.sides))[:, None]
         middle = (self.core + np.roll(self.core, -1, 0)) / 3.0
         self.centroid = np.sum(middle * area, 0) / np.maximum(np.sum(area), TINY)
+        equal = self.radius if self.round else math.sqrt(0.5 * float(np.sum(area)) / math.pi)
+        self.mean_radius = 2.0 / 3.0 * equal  # of a disc of the same area
 
     def depth(self, x: Array) -> Array:
         """Return a lower bound of the depth of points (…, 2) inside; negative outside."""

@@ -45,6 +45,7 @@ from hitchopt.values import Array
 from hitchopt.verify import objects
 from tests.helpers.groups import part
 from tests.helpers.plans import planned
+from tests.helpers.second_opinions import opinion_of
 
 DRUM: dict[str, Any] = {"circle": 0.12, "to": 0.4, "mass": 0.08, "friction": 0.5}
 AT = [0.4, -0.3, 0.0]
@@ -473,6 +474,40 @@ def test_random_sections_are_carried(seed: int) -> None:
 def test_pentagon_hangs_below_the_line_through_its_clasps() -> None:
     """Of the grips around it, that with the most friction would tilt it."""
     assert carried({**prism(5, 0.12), "mass": 0.05}).certificate.certified
+
+
+@pytest.mark.parametrize(("gap", "stiffness"), [(0.02, -0.375), (0.11, 0.0165)])
+def test_crates_keep_their_yaw_or_are_refused(gap: float, stiffness: float, tmp_path: Path) -> None:
+    """Between two clasps on the line through its sides' middles, at 1 N; ``verify`` agrees."""
+    crate = [[-0.16, -0.13], [-0.16, 0.13], [0.16, 0.13], [0.16, -0.13]]
+    stated = problem([TIE], {**prism(4, 0.1), "outline": crate, "mass": 0.02})
+    team, body = stated.team, stated.objects["drum"]
+    clasps = np.array([[0.16 + gap, 0.0], [-0.16 - gap, 0.0]])
+    hold = GripHold.tied(team, body, clasps, 0.3)
+    state = GraspState("drum", HoldPolygons(clasps, clasps), team.tension, hold, carried=True)
+    planner = MovePlanner(state, replace(stated.teams[""].requirements, objects=stated.objects), 0)
+    motion = planner.motion([planner.rest(0.5)])
+    check = RULE_OF["yaw"].check(motion)
+    assert check is not None
+    assert check.worst == pytest.approx(stiffness, rel=0.05)
+    assert check.holds == (stiffness > 0.0)
+    (row,) = opinion_of(motion, tmp_path, objects.steady)
+    assert row.worst == pytest.approx(check.worst, rel=1e-3)
+    assert (row.verdict == "proven") == check.holds
+
+
+def test_edges_that_turn_a_standing_crate_are_counted() -> None:
+    """The force of edges vanishes, their moment does not: they may turn what is light."""
+    crate = ho.Section([[-0.16, -0.13], [-0.16, 0.13], [0.16, 0.13], [0.16, -0.13]])
+    around = np.array([[0.31, -0.16], [-0.31, 0.16]])
+    team = problem([TIE]).team
+    body = ho.SolidObject(crate, 0.0, 0.4, mass=0.06, friction=0.5)
+    hold = replace(GripHold.tied(team, body, 0.7 * around, 0.3), around=around)
+    push = hold.largest_push(np.full(2, 0.5))
+    grip = Grip.of(crate, around, 2.4, 0.5)
+    assert push >= abs(grip.imbalance[2]) / crate.friction_radius > 0.1
+    wide = np.array([[0.3, 0.0], [-0.3, 0.0]])
+    assert GripHold.tied(team, body, wide, 0.3).largest_push(np.full(2, 0.5)) < 1e-9
 
 
 def test_narrow_outlines_are_refused_before_anything_is_planned() -> None:

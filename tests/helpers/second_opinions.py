@@ -20,7 +20,9 @@ Rows = Callable[..., Iterator[second.Row]]
 OF_WHOLE: set[Rows] = {driver.jumps, links.interlacing}
 OF_TAUT: set[Rows] = {cables.taut_cables}
 OF_BENT: set[Rows] = {tying.bent_cables}
-OF_BODIES: set[Rows] = {objects.resting, objects.gripped, objects.hinged, objects.clear_objects}
+OF_BODIES: set[Rows] = {
+    *(objects.resting, objects.gripped, objects.steady, objects.hinged, objects.clear_objects),
+}
 OF_PAIRS: set[Rows] = {teams.between_plans, teams.object_distances, teams.arc_distances}
 
 TAUT = tying.bent_cables, cables.taut_cables, tying.laid_cables
@@ -34,6 +36,7 @@ ROWS: dict[str, tuple[Rows, ...]] = {
     "tension": (driver.jumps, cables.taut_cables),
     **dict.fromkeys(("span", "drawn"), (tying.free_cables,)),
     "grip": (objects.gripped,),
+    "yaw": (objects.steady,),
     "wrap": (objects.gripped,),
     "bend": (cables.taut_cables,),
     "passing": (tying.bent_cables,),

@@ -19,7 +19,7 @@ import numpy as np
 from hitchopt.checks.clasps import BALANCE_LIMIT
 from hitchopt.errors import Violation
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.geometry.vectors import length, unit
+from hitchopt.geometry.vectors import cross, length, unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import (
     BalanceError,
@@ -434,14 +434,19 @@ class GripHold(HoldingHitch):
         return end
 
     def largest_push(self, tension: Array) -> float:
-        """Return the largest horizontal force [N] of edges on a standing object.
+        """Return the largest force [N] with which edges slide or turn a standing object.
 
-        With tensions (n,) [N]. It is not zero because edges touch the object one after the other.
+        With tensions (n,) [N], as friction with the support must resist them. It is not zero
+        because edges touch the object one after the other.
         """
+        section = self.body.section
         shares = np.linspace(0.0, 1.0, PATH_SAMPLES + 1)
-        wraps = wraps_around(self.body.section, self._polygon(shares))
+        wraps = wraps_around(section, self._polygon(shares))
         forces = np.sum(tension[:, None] * (wraps.arriving - wraps.leaving), axis=-2)
-        return float(np.max(length(forces)))
+        arms = wraps.contacts - self.body.centre_of_mass[:2]
+        moments = cross(arms[..., 1, :], wraps.arriving) - cross(arms[..., 0, :], wraps.leaving)
+        turning = np.sum(tension * moments, axis=-1) / section.friction_radius
+        return float(np.max(np.hypot(length(forces), turning)))
 
     @property
     def opened(self) -> GripHold:
