@@ -161,8 +161,8 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
         ho.Team(2, 2.3, topology="open")
     ),
     (Feature.HOLDING, Neighbour.CHAINS): lambda: object_of(held_by(CHAIN), "drum"),
-    (Feature.GRIPPING, Neighbour.UNEQUAL_KINDS): lambda: grip_clasps(
-        "drum", DRUM, ho.Team(3, [2.3, 2.3, 2.4]), Requirements()
+    (Feature.GRIPPING, Neighbour.UNEQUAL_KINDS): lambda: next(
+        grip_clasps("drum", DRUM, ho.Team(3, [2.3, 2.3, 2.4]), Requirements())
     ),
     (Feature.COST, Neighbour.CHAINS): lambda: FlightCost(CHAIN, lambda _, s: s),
     (Feature.END, Neighbour.SINGLE_DRONES): lambda: final_hitch(swarm().teams[0].motion),

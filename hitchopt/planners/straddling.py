@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -11,10 +12,15 @@ from hitchopt.geometry.vectors import rotated, turn
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
+from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import tying_tension
 from hitchopt.planners.carrying.polygons import grip_clasps
-from hitchopt.planners.carrying.straddle_planner import MAX_TURN, find_straddle
+from hitchopt.planners.carrying.straddle_planner import (
+    MAX_TURN,
+    StraddlePlanner,
+    find_straddle,
+)
 from hitchopt.planners.forming.stages import Keyframe, reversed_stages, straight_stages
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.planners.tying import approach_motion
@@ -37,10 +43,16 @@ def tied_around(task: StepTask, name: str, height: float, tying: Array, tension:
     requirements = task.requirements
     team = task.before.team
     body = requirements.objects[name]
-    clasps = grip_clasps(name, body, team, requirements)
-    numbered = _numbered(clasps, body, task.before.drones)
-    hold = GripHold.tied(team, body, numbered, height)
-    planner = find_straddle(name, hold, tying, requirements, task.index, task.before.drones)
+    drones = task.before.drones
+
+    def around(clasps: Array) -> StraddlePlanner:
+        """Return the planner of a grip with clasps (2, 2) [m]."""
+        hold = GripHold.tied(team, body, _numbered(clasps, body, drones), height)
+        return find_straddle(name, hold, tying, requirements, task.index, drones)
+
+    ways = grip_clasps(name, body, team, requirements)
+    grips = (Candidate("grip", partial(around, clasps)) for clasps in ways)
+    planner = first_certified(grips, task.effort, task.progress)
     approach = _approach_motions(task, planner.hanging.drones, body)
     motion = concatenated([*approach, *planner.stages(), *planner.draw_grip(tension)])
     return task.plan_with_object(motion, replace(planner.state, tension=tension), body.place)

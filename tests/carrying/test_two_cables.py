@@ -458,7 +458,7 @@ def random_body(seed: int) -> dict[str, Any]:
     body |= shapes[seed % 3]
     stated = problem([TIE], body)
     requirements, solid = stated.teams[""].requirements.with_reserve, stated.objects["drum"]
-    clasps = grip_clasps("drum", solid, stated.team, requirements)
+    clasps = next(grip_clasps("drum", solid, stated.team, requirements))
     grip = Grip.of(solid.section, clasps, 2.4, 1.0)
     capacity = grip_capacity(grip, stated.team.quadrotor[0], solid.friction, 1.5)
     return body | {"mass": share * capacity.mass}
@@ -621,7 +621,7 @@ def tied_grip(stated: ho.Problem) -> tuple[GripHold, Requirements]:
     """The grip of the drum at the height of ``tie``, and the requirements of planners."""
     requirements = stated.teams[""].requirements.flown_by(stated.team).with_reserve
     body = stated.objects["drum"]
-    clasps = grip_clasps("drum", body, stated.team, requirements)
+    clasps = next(grip_clasps("drum", body, stated.team, requirements))
     height = clasp_height(body, requirements)
     return GripHold.tied(stated.team, body, clasps, height), requirements
 

@@ -8,6 +8,7 @@ is evaluated independently.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -103,6 +104,10 @@ MIN_GAP = 0.02
 MIN_STRAIGHT = 0.05
 """[m] Minimum length of straight parts of edges around corners: clasps beside a corner that are off
 by 2 cm bend edges about another one."""
+
+MIN_YAW_STIFFNESS = 0.4
+"""Stiffness of yaw over tension and size that grips have in planning. Ropes 18 mm thick, with which
+crates are larger, turned one of 0.05 by 30° in simulation."""
 
 WIDER = 1.5
 """Distance of clasps to the centroid, over that of a grip, at which two cables should not turn a
@@ -224,7 +229,8 @@ class GripTask:
         if self.section.radius is None:
             size = self.section.circumradius
             distances["bend"] = length(grip.straight_parts).reshape(*shape, 2 * self.robots)
-            distances["yaw"] = grip.yaw_stiffness[..., None] / (self.tension * size)
+            stiffness = grip.yaw_stiffness[..., None] / (self.tension * size)
+            distances["yaw"] = stiffness - MIN_YAW_STIFFNESS
         limits = self.limits
         margins = {}
         for name, values in distances.items():
@@ -340,9 +346,15 @@ def _distances(first: Array, second: Array) -> Array:
 
 
 def best_grip(task: GripTask) -> Grip:
-    """Return the unloaded grip with the largest slip load within all limits.
+    """Return the unloaded grip with the largest slip load within all limits: of ``grips``."""
+    return next(grips(task))
 
-    Coordinates of the search are relative to the section's centroid.
+
+def grips(task: GripTask) -> Iterator[Grip]:
+    """Yield unloaded grips within all limits: the one with the largest slip load, then the others.
+
+    These bend about other corners, as the best ones that do. Coordinates of the search are relative
+    to the section's centroid.
 
     Raises
     ------
@@ -357,11 +369,24 @@ def best_grip(task: GripTask) -> Grip:
     for in_line in (False, True) if task.robots == 2 else (False,):
         screened = _best_refined(centred, _guesses(centred), SCREENING_ITERATIONS, in_line=in_line)
         finalists = [grip.vertices for grip in screened[:FINALISTS]]
-        refined = _best_refined(centred, finalists, MAX_ITERATIONS, in_line=in_line)
-        best = refined[0]
-        if centred.merit(best) > 0.0:
-            return task.grip(best.vertices + centre)
+        best = _best_refined(centred, finalists, MAX_ITERATIONS, in_line=in_line)[0]
+        if centred.merit(best) <= 0.0:
+            continue
+        yield task.grip(best.vertices + centre)
+        bent = {_corners(best)}
+        for grip in screened:
+            if _corners(grip) not in bent:
+                (other,) = _best_refined(centred, [grip.vertices], MAX_ITERATIONS, in_line=in_line)
+                if centred.merit(other) > 0.0 and _corners(other) not in bent:
+                    yield task.grip(other.vertices + centre)
+                bent |= {_corners(grip), _corners(other)}
+        return
     raise _no_grip(centred, best)
+
+
+def _corners(grip: Grip) -> frozenset[tuple[int, ...]]:
+    """Return the corners about which edges bend, for edges in any order."""
+    return frozenset(tuple(corners) for corners in grip.wraps.bends.corners.tolist())
 
 
 def _best_refined(
@@ -522,13 +547,15 @@ def grip_polygons(
     name, body: the object.
     gap: distance of the edges around it [m].
     """
-    clasps = grip_clasps(name, body, team, requirements)
+    clasps = next(grip_clasps(name, body, team, requirements))
     centre, section = body.centre_of_mass[:2], body.section
     return HoldPolygons.about(clasps, centre, (section,), gap, GRIP_STRETCHES)
 
 
-def grip_clasps(name: str, body: SolidObject, team: Team, requirements: Requirements) -> Array:
-    """Return the clasps (n, 2) [m] of the grip of an object with the largest slip load.
+def grip_clasps(
+    name: str, body: SolidObject, team: Team, requirements: Requirements
+) -> Iterator[Array]:
+    """Yield the clasps (n, 2) [m] of ``grips`` of an object, the strongest first.
 
     Raises
     ------
@@ -545,7 +572,7 @@ def grip_clasps(name: str, body: SolidObject, team: Team, requirements: Requirem
     friction, section = team.cable_friction, body.section
     task = GripTask(section, team.robots, cable, tension, friction, requirements, drone)
     with violations_at(f"around objects.{name}"):
-        return best_grip(task).vertices
+        yield from (grip.vertices for grip in grips(task))
 
 
 # Rests.
