@@ -189,7 +189,7 @@ def resting(p: Plan, b: int) -> Iterator[Row]:
 
 def loaded_grip(p: Plan, b: int) -> Mask:
     """Return the pieces on which a body that edges grip is carried, in part or entirely."""
-    return p.grip[b] & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
+    return np.asarray(p.grip[b] & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1))
 
 
 def gripped(p: Plan, b: int) -> Iterator[Row]:
