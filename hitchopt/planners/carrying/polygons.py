@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,8 +106,8 @@ MIN_STRAIGHT = 0.05
 """[m] Minimum length of straight parts of edges around corners: clasps beside a corner that are off
 by 2 cm bend edges about another one."""
 
-MIN_YAW_STIFFNESS = 0.4
-"""Stiffness of yaw over tension and size that grips have in planning. Ropes 18 mm thick, with which
+YAW_RESERVES = (0.4, 0.0)
+"""Stiffnesses of yaw over tension and size, in order of preference. Ropes 18 mm thick, with which
 crates are larger, turned one of 0.05 by 30° in simulation."""
 
 WIDER = 1.5
@@ -200,6 +201,9 @@ class GripTask:
     kind: Quadrotor
     """Kind of all quadrotors."""
 
+    yaw_reserve: float = YAW_RESERVES[0]
+    """Smallest stiffness of yaw over tension and size."""
+
     def grip(self, vertices: Array) -> Grip:
         """Return the grip with vertices (…, n, 2) [m]."""
         return Grip.of(self.section, vertices, self.cable_length, self.tension, self.clasp_friction)
@@ -230,7 +234,7 @@ class GripTask:
             size = self.section.circumradius
             distances["bend"] = length(grip.straight_parts).reshape(*shape, 2 * self.robots)
             stiffness = grip.yaw_stiffness[..., None] / (self.tension * size)
-            distances["yaw"] = stiffness - MIN_YAW_STIFFNESS
+            distances["yaw"] = stiffness - self.yaw_reserve
         limits = self.limits
         margins = {}
         for name, values in distances.items():
@@ -366,11 +370,15 @@ def grips(task: GripTask) -> Iterator[Grip]:
     if outline is not None and np.any(centre):
         centred = replace(task, section=Section(outline - centre))
     # The best two clasps around most sections are in line with the centroid without that constraint
-    for in_line in (False, True) if task.robots == 2 else (False,):
+    in_lines = (False, True) if task.robots == 2 else (False,)
+    for reserve, in_line in product(YAW_RESERVES, in_lines):
+        centred = replace(centred, yaw_reserve=reserve)
         screened = _best_refined(centred, _guesses(centred), SCREENING_ITERATIONS, in_line=in_line)
         finalists = [grip.vertices for grip in screened[:FINALISTS]]
         best = _best_refined(centred, finalists, MAX_ITERATIONS, in_line=in_line)[0]
         if centred.merit(best) <= 0.0:
+            if in_line is in_lines[-1] and centred.shortest(best)[1] != "yaw":
+                break
             continue
         yield task.grip(best.vertices + centre)
         bent = {_corners(best)}
