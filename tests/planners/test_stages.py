@@ -11,6 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.loads import tracking_warnings
 from hitchopt.planners.timing.following import distances_from
 from hitchopt.planners.timing.timed_motion import fastest_motion, motion_by
 from hitchopt.trajectory import PiecewisePolynomial
@@ -109,6 +110,15 @@ def test_paths_of_named_drones_have_their_tracking_errors(
     notes = ho.Plan(ho.Flight.of(motion), ho.certify(motion)).notes
     is_understated = any("only 0 m is certified" in note for note in notes)
     assert is_understated == (tracking == 0.0), notes
+
+
+@pytest.mark.parametrize(("trim", "is_told"), [(0.04, False), (0.08, True)])
+def test_trims_with_which_drones_swing_are_told(trim: float, is_told: bool) -> None:
+    team = ho.Team(3, 2.4, quadrotor=ho.Quadrotor(trim=(0.0, -trim)))
+    path = ho.Path.of(team, lambda s: TRIANGLE + [0.3 * quintic(s), 0.0])
+    motion = ho.time(path)
+    notes = list(tracking_warnings(ho.Flight.of(motion)))
+    assert any("swings by itself" in note for note in notes) == is_told, notes
 
 
 @pytest.mark.parametrize("clock", [quintic, lambda s: quintic(s * s)])

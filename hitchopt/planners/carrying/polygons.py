@@ -106,7 +106,7 @@ MIN_STRAIGHT = 0.05
 """[m] Minimum length of straight parts of edges around corners: clasps beside a corner that are off
 by 2 cm bend edges about another one."""
 
-YAW_RESERVES = (0.4, 0.0)
+YAW_RESERVES = (0.15, 0.0)
 """Stiffnesses of yaw over tension and size, in order of preference. Ropes 18 mm thick, with which
 crates are larger, turned one of 0.05 by 30° in simulation."""
 
