@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -166,12 +167,7 @@ def shortest_cable(
     """
     team = Team(len(polygons[0]), 1.0) if team is None else team
     for balanced in (True, False):
-        best = CableMargin(cable_length=0.0, margin=0.0)
-        for candidate in _cable_margins(polygons, requirements, team, balanced=balanced):
-            if candidate.margin > best.margin + ROUNDING:
-                best = candidate
-            if best.margin >= SPREAD_MARGIN:
-                break
+        best = _best_length(polygons, requirements, team, balanced=balanced)
         if best.margin >= LIMIT_MARGIN:
             return best.cable_length
     remedy = "change the clearance"
@@ -179,6 +175,29 @@ def shortest_cable(
         remedy = f"use fewer robots, or {remedy}"
     violation = Violation("separation", best.margin, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
     raise InfeasibleError([violation], "no cable length separates the drones around the object")
+
+
+def _best_length(
+    polygons: Sequence[Outline], requirements: Requirements, team: Team, *, balanced: bool
+) -> CableMargin:
+    """Return the shortest length with the largest margin, at most SPREAD_MARGIN.
+
+    Lengths with balanced legs are tried in steps of RANGE_STRIDE, and then those before the best.
+    """
+    margins = partial(_cable_margins, polygons, requirements, team, balanced=balanced)
+    tried = list[CableMargin]()
+    for candidate in margins(stride=RANGE_STRIDE):
+        tried.append(candidate)
+        if candidate.margin >= SPREAD_MARGIN:
+            break
+    best = max(tried, key=lambda each: each.margin)
+    if balanced:
+        between = CENTIMETRE * np.arange(1 - RANGE_STRIDE, RANGE_STRIDE)
+        lengths = np.round(best.cable_length + between, 9)
+        shortest = tried[0].cable_length
+        tried = list(margins(lengths=lengths[lengths >= shortest].tolist()))
+    largest = max(each.margin for each in tried) - ROUNDING
+    return min(each for each in tried if each.margin >= largest)
 
 
 def separating_cables(
@@ -262,6 +281,7 @@ def _cable_margins(
     *,
     balanced: bool = True,
     stride: int = 1,
+    lengths: Sequence[float] | None = None,
 ) -> Iterator[CableMargin]:
     """Yield the margins of lengths from the one that legs need on, in the ratios of the team.
 
@@ -269,6 +289,7 @@ def _cable_margins(
     ----------
     balanced: whether legs are balanced, or else those of the best slack split.
     stride: distance of lengths with balanced legs, in steps of CENTIMETRE.
+    lengths: these [m] instead.
     """
     ratios = team.cable_length / np.max(team.cable_length)
     vertices = np.stack([polygon.vertices for polygon in polygons])
@@ -277,8 +298,10 @@ def _cable_margins(
     needed_by_legs = 2.0 * LIMIT_MARGIN * requirements.limits.leg
     first = math.ceil((needed_by_edges + needed_by_legs) / CENTIMETRE)
     centimetres = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE))
-    lengths = centimetres[:: stride if balanced else UNBALANCED_STRIDE] / 100.0
-    for cable_length in lengths.tolist():
+    if lengths is None:
+        strided = centimetres[:: stride if balanced else UNBALANCED_STRIDE]
+        lengths = (strided / 100.0).tolist()
+    for cable_length in lengths:
         sized = with_fields(team, cable_length=cable_length * ratios)
         margin = _margin(sized, vertices, requirements, balanced=balanced)
         yield CableMargin(cable_length, margin)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
@@ -41,6 +41,7 @@ from hitchopt.planners.carrying.polygons import (
 from hitchopt.planners.ends import end_of_morph
 from hitchopt.planners.fitting import enclosing_polygon, shortest_cable
 from hitchopt.planners.task import RestState, StepPlan, require_certified
+from hitchopt.values import Array, known
 from hitchopt.values.fields import keys_of, with_fields
 
 T = TypeVar("T")
@@ -57,6 +58,9 @@ ROLL_RESERVE = 1.3
 EVEN_SPLITS = (0.3, 0.35, 0.65, 0.7)
 """Slack splits of all cables of a hold below a rim that are tried before a search over all."""
 
+EVEN_ROLLS = (0.0, 0.15, 0.3)
+"""[rad] Rolls of all clasps that are rated with them, as far as smaller ones bear nothing."""
+
 RESERVES = (1.0, 0.5, 0.25)
 """Shares of a carry's acceleration at which holds are judged, the largest first."""
 
@@ -70,12 +74,15 @@ LIGHT = 1e-3
 """[kg] Mass with which holds are judged that hold nothing."""
 
 MASS_RESOLUTION = 0.02
-"""Resolution of the largest mass, as a fraction of it."""
+"""Resolution of the largest mass that is certified, as a fraction of it."""
+
+BORNE_RESOLUTION = 0.004
+"""Resolution of the mass that is borne at rest, as a fraction of it."""
 
 OVERLOAD = 1.05
 """Mass at which the check that binds is found, over the largest that is carried."""
 
-BISECTIONS = 6
+BISECTIONS = 8
 """Maximum number of masses that are certified of a hold."""
 
 SMALLEST_SHARE = 0.7
@@ -236,17 +243,19 @@ class HoldJudge:
         Those that are found by linear programs have other legs, which change first.
         """
         yield from ((hold,) for hold in self._by_polygons())
-        body, n = self.planner.body, self.team.robots
+        body = self.planner.body
         if body.rim is None:
             return
-        for clasps in self.planner.state.polygons.below_rim:
-            legs = np.full(n, 0.5), np.zeros(n)
-            start = RestHold(self.team, body, clasps, body.rim.height, *legs)
-            search = self._search(start, body.mass)
-            yield from ((search.changed_legs(hold), hold) for hold in search.holds())
+        yield from self._searched()
         best = self._best
         if isinstance(best.hold, RestHold) and best.mass >= body.mass:
             yield self._search(best.hold, body.mass).changed_legs(best.hold), best.hold
+
+    def _searched(self) -> Iterator[Closing]:
+        """Yield the closings of holds that linear programs find from the rim's polygons."""
+        for clasps in self.planner.state.polygons.below_rim:
+            search = self._search(self._start(clasps), self.planner.body.mass)
+            yield from ((search.changed_legs(hold), hold) for hold in search.holds())
 
     def violation(self, hold: HoldingHitch) -> InfeasibleError | None:
         """Return what a hold breaks at rest, or as it is taken; None if it holds the object."""
@@ -275,25 +284,67 @@ class HoldJudge:
         return next(feasible, 0.0)
 
     @cached_property
-    def _rated(self) -> tuple[Rated, ...]:
-        """Holds by what they bear at rest, the most first."""
-        rated = [Rated(self._borne_by(hold), hold) for hold in self.holds]
-        return tuple(sorted(rated, key=lambda each: -each.mass))
+    def _even(self) -> Rated | None:
+        """The grip, or the hold by the rim's polygons with even splits that bears most; or None.
+
+        It is not rolled if one without roll bears anything.
+        """
+        if self.planner.body.rim is None:
+            return self._most_bearing(self.holds)
+        rolled = (self._most_bearing(self._with_even_splits(roll)) for roll in EVEN_ROLLS)
+        return next(filter(None, rolled), None)
+
+    @cached_property
+    def _straight(self) -> Rated:
+        """The hold with even splits, or one that linear programs find if none bears anything."""
+        if self._even is not None:
+            return self._even
+        start = self._start(self.planner.state.polygons.clasps)
+        found = self._most_bearing(self._search(start, LIGHT).holds())
+        return Rated(0.0, start) if found is None else found
+
+    def _most_bearing(self, holds: Iterable[HoldingHitch]) -> Rated | None:
+        """Return the hold that bears most at rest; None if none bears anything."""
+        best: Rated | None = None
+        for hold in holds:
+            mass = self._borne_by(hold, 0.0 if best is None else best.mass)
+            if mass:
+                best = Rated(mass, hold)
+        return best
+
+    def _with_even_splits(self, roll: float) -> Iterator[RestHold]:
+        """Yield holds with a roll [rad] by the rim's polygons that keep distances as they close."""
+        n = self.team.robots
+        for clasps, split in product(self.planner.state.polygons.below_rim, (0.5, *EVEN_SPLITS)):
+            start = self._start(clasps)
+            hold = replace(start, fractions=np.full(n, split), roll=np.full(n, roll))
+            search = self._search(hold, LIGHT)
+            if search.changing_legs(hold).closing_margin(hold) >= 0.0:
+                yield hold
+
+    def _start(self, clasps: Array) -> RestHold:
+        """Return the balanced hold with clasps (n, 2) [m] below the rim."""
+        body, n = self.planner.body, self.team.robots
+        height = known(body.rim).height
+        return RestHold(self.team, body, clasps, height, np.full(n, 0.5), np.zeros(n))
 
     @cached_property
     def _best(self) -> Rated:
         """The hold that bears most at rest, with those that linear programs find from it."""
-        best = self._rated[0]
+        best = self._straight
         for factor in ASCENTS:
             if not isinstance(best.hold, RestHold):
                 break
             better = self._search(best.hold, factor * max(best.mass, LIGHT)).improved(best.hold)
-            if better is not None and (mass := self._borne_by(better)) > best.mass:
+            if better is not None and (mass := self._borne_by(better, best.mass)):
                 best = Rated(mass, better)
         return best
 
-    def _borne_by(self, hold: HoldingHitch) -> float:
-        """Return about the largest mass [kg] that a hold bears at rest, without a certificate."""
+    def _borne_by(self, hold: HoldingHitch, least: float) -> float:
+        """Return about the largest mass [kg] that a hold bears at rest, without a certificate.
+
+        It is 0 if that is not above a ``least`` one.
+        """
         team, body = self.team, self.planner.body
         tension = self.planner.state.tension
         if isinstance(hold, GripHold):
@@ -311,23 +362,23 @@ class HoldJudge:
             search = replace(closing, requirements=requirements)
             return search.at_rest(search.start) >= 0.0
 
-        low, high = 0.0, MAX_LOAD_RATIO * float(np.sum(tension)) / GRAVITY
-        if not is_borne(LIGHT):
+        low, high = least, MAX_LOAD_RATIO * float(np.sum(tension)) / GRAVITY
+        if not is_borne(max((1.0 + BORNE_RESOLUTION) * least, LIGHT)):
             return 0.0
-        while high - low > MASS_RESOLUTION * high:
+        while high - low > BORNE_RESOLUTION * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if is_borne(middle) else (low, middle)
         return low
 
     @property
     def bearable(self) -> float:
-        """About the largest mass [kg] that a hold by the rim's polygons bears at rest."""
-        return self._rated[0].mass
+        """About the largest mass [kg] that a hold with even splits bears at rest; 0 if none."""
+        return 0.0 if self._even is None else self._even.mass
 
     def carries(self, mass: float) -> bool:
         """Return whether a hold carries a mass [kg] with the full acceleration."""
         heavy = self.with_mass(mass)
-        rated = self._rated[0] if self.bearable >= mass else self._best
+        rated = self._straight if self.bearable >= mass else self._best
         return rated.mass >= mass and heavy.carried(rated.hold, RESERVES[0]) is None
 
     def candidates(self, plan: Callable[[Closing, float], T]) -> Iterator[Candidate[T]]:
@@ -380,21 +431,47 @@ class HoldJudge:
 
     @cached_property
     def heaviest(self) -> Heaviest:
-        """The largest mass that a hold carries with the smallest of RESERVES, by bisection."""
-        hold, high = self._best.hold, max(self._best.mass, LIGHT)
+        """The largest mass that a hold carries with the smallest of RESERVES."""
+        hold, largest = self._best.hold, self._carried_by(self._best)
+        if largest < self._straight.mass and hold is not self._straight.hold:
+            straight = self._carried_by(self._straight)
+            if straight > largest:
+                hold, largest = self._straight.hold, straight
+        heavier = self.with_mass(max(OVERLOAD * largest, LIGHT))
+        while (better := heavier._better) is not None:
+            hold, largest = better, heavier.planner.body.mass
+            heavier = self.with_mass(OVERLOAD * largest)
+        error = heavier.carried(hold, RESERVES[-1])
+        binding = "load" if error is None else error.violations[0].constraint
+        return Heaviest(Capacity(largest, binding), hold if largest else None)
+
+    @property
+    def _better(self) -> HoldingHitch | None:
+        """The first hold that linear programs find and that carries the object; None without one.
+
+        It has the smallest of RESERVES.
+        """
+        if self.planner.body.rim is None:
+            return None
+        holds = (closing[-1] for closing in self._searched())
+        return next((each for each in holds if self.carried(each, RESERVES[-1]) is None), None)
+
+    def _carried_by(self, rated: Rated) -> float:
+        """Return the largest mass [kg] that a hold carries with the smallest of RESERVES.
+
+        It is about what it bears at rest, or less, by bisection.
+        """
+        high = max(rated.mass, LIGHT)
         low, trial = 0.0, high
         for _ in range(BISECTIONS):
-            if self.with_mass(trial).carried(hold, RESERVES[-1]) is None:
+            if self.with_mass(trial).carried(rated.hold, RESERVES[-1]) is None:
                 low = trial
             else:
                 high = trial
             if high - low <= MASS_RESOLUTION * high:
                 break
             trial = 0.5 * (max(low, SMALLEST_SHARE * high) + high)
-        heavier = self.with_mass(max(OVERLOAD * low, LIGHT))
-        error = heavier.carried(hold, RESERVES[-1])
-        binding = "load" if error is None else error.violations[0].constraint
-        return Heaviest(Capacity(low, binding), hold if low else None)
+        return low
 
 
 def _planned(

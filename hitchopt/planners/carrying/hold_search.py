@@ -58,6 +58,15 @@ GAIN_SHARE = 0.1
 MIN_GAIN = 1e-6
 """Smallest gain of a step."""
 
+MIN_PREDICTED_GAIN = 1e-3
+"""Smallest predicted gain of a step; a search ends where programs predict less."""
+
+PATIENCE = 4
+"""Number of programs in turn after which a search ends if they predict negative margins."""
+
+HOPE = 3e-3
+"""Rise of these predictions with which the search goes on."""
+
 ROW_RANGE = 3.0
 """Margins above the smallest one by more than this do not enter programs."""
 
@@ -77,7 +86,7 @@ LEGS_CHANGED = (0.0, 0.6)
 """Places on the way from around the object, 0, to the hold, 1, at which legs have its splits and
 rolls. Around it, where edges are long, short cables have legs that are too short for most."""
 
-CLOSURES = (0.0, 0.3, 0.6, 0.8)
+CLOSURES = np.array([0.0, 0.3, 0.6, 0.8])
 """Places on that way at which distances are compared."""
 
 LEG_SAMPLES = np.linspace(0.25, 1.0, 4)[:, None, None]
@@ -145,13 +154,10 @@ class HoldSearch:
 
     def closing_margin(self, hold: RestHold) -> float:
         """Return the smallest margin on the way from around the object to a hold."""
-        smallest = math.inf
-        for closure in CLOSURES:
-            curves = _at_rest(self.closing(hold, closure), hold.team.tension, 0.0)
-            if curves is None:
-                return -math.inf
-            smallest = min(smallest, *(float(np.min(each)) for each in self._distances(curves)))
-        return smallest
+        curves = _at_rest(self.closing(hold, CLOSURES), hold.team.tension, 0.0)
+        if curves is None:
+            return -math.inf
+        return min(float(np.min(each)) for each in self._distances(curves))
 
     def changed_legs(self, hold: RestHold) -> RestHold:
         """Return the first hitch on the way from around the object that has a hold's legs."""
@@ -165,6 +171,7 @@ class HoldSearch:
     def reached(self, guess: Array) -> RestHold | None:
         """Return ``found``, with legs that change at this search's place."""
         margins, gradients, region = self.margins(guess), None, 1.0
+        predictions = list[float]()
         for _ in range(MAX_PROGRAMS):
             smallest = float(np.min(margins))
             if smallest >= MARGIN or region < MIN_REGION or not math.isfinite(smallest):
@@ -173,6 +180,9 @@ class HoldSearch:
             if gradients is None:
                 gradients = self._gradients(guess, margins)
             step, predicted = _best_step(guess, margins, gradients, region)
+            predictions.append(predicted)
+            if predicted - smallest < MIN_PREDICTED_GAIN or _is_hopeless(predictions):
+                break
             trial = guess + STEPS * step
             trial_margins = self.margins(trial)
             gain = float(np.min(trial_margins)) - smallest
@@ -206,11 +216,10 @@ class HoldSearch:
         unbalanced = np.full((*variables.shape[:-2], 1), -np.inf)
         hold = self._hold(variables)
         margins = self._of_clasps(hold)
-        for closure in CLOSURES:
-            curves = _at_rest(self.closing(hold, closure), hold.team.tension, 0.0)
-            if curves is None:
-                return unbalanced
-            margins += self._distances(curves)
+        closing = _at_rest(self.closing(hold, CLOSURES), hold.team.tension, 0.0)
+        if closing is None:
+            return unbalanced
+        margins += [np.moveaxis(each, 0, -1) for each in self._distances(closing)]
         for load_share in (0.0, 1.0):
             curves = _at_rest(hold, self.tension, load_share)
             if curves is None:
@@ -220,15 +229,24 @@ class HoldSearch:
         lead = variables.shape[:-2]
         return np.concatenate([np.reshape(each, (*lead, -1)) for each in margins], axis=-1)
 
-    def closing(self, hold: RestHold, closure: float) -> RestHold:
-        """Return the hitch at a place between that around the object, 0, and a hold, 1."""
-        around = self.around
-        changed = 1.0 if closure >= self.legs_changed else closure / self.legs_changed
+    def closing(self, hold: RestHold, closures: Array | float) -> RestHold:
+        """Return the hitches at places between that around the object, 0, and a hold, 1.
+
+        Places (k,) are a leading axis of polygon, splits and rolls.
+        """
+        around, change_at = self.around, self.legs_changed
+        changed = np.where(closures < change_at, closures / max(change_at, MIN_GAIN), 1.0)
+
+        def between(before: Array, after: Array, shares: Array | float) -> Array:
+            """Return values between those around the object and those of the hold."""
+            places = np.reshape(shares, (*np.shape(shares), *np.ones(after.ndim, dtype=np.intp)))
+            return np.asarray(before + places * (after - before))
+
         return replace(
             hold,
-            polygon=around.polygon + closure * (hold.polygon - around.polygon),
-            fractions=around.fractions + changed * (hold.fractions - around.fractions),
-            roll=around.roll + changed * (hold.roll - around.roll),
+            polygon=between(around.polygon, hold.polygon, closures),
+            fractions=between(around.fractions, hold.fractions, changed),
+            roll=between(around.roll, hold.roll, changed),
         )
 
     def _of_clasps(self, hold: RestHold) -> list[Array]:
@@ -281,6 +299,8 @@ class HoldSearch:
             1.0 - tilts / np.minimum(requirements.limits.tilt, team.max_tilt),
             (drones[..., 2] + height) / separation.object - 1.0,
         ]
+        if load_share == 1.0:
+            margins.append(self._bearing(hold))
         margins += [
             slab.clearance(drones).distance / separation.radius - 1.0 for slab in hold.body.slabs
         ]
@@ -292,6 +312,27 @@ class HoldSearch:
                 margins.append(distance[..., -1, :] / separation.radius - 1.0)
                 margins.append(distance / separation.object - 1.0)
         return margins
+
+    def _bearing(self, hold: RestHold) -> Array:
+        """Return the margins (…, n) of straight legs whose pulls bear the load at a clasp.
+
+        Both pulls close a triangle with that of the edges and the weight.
+        """
+        team, behind = hold.team, partial(np.roll, shift=1, axis=-1)
+        edges = np.roll(hold.polygon, -1, axis=-2) - hold.polygon
+        lengths = length(edges)
+        half_weights = 0.25 * GRAVITY * team.cable_density * (team.cable_length + lengths)
+        weights = GRAVITY * hold.body.mass * hold.supports.shares
+        weights = weights + half_weights + behind(half_weights)
+        pulls = self.tension[:, None] * edges / lengths[..., None]
+        level = length(np.roll(pulls, 1, axis=-2) - pulls)
+        return np.asarray((self.tension + behind(self.tension)) / np.hypot(level, weights) - 1.0)
+
+
+def _is_hopeless(predictions: list[float]) -> bool:
+    """Return whether the last predicted margins are negative and do not rise."""
+    last = predictions[-PATIENCE:]
+    return len(last) == PATIENCE and max(last) < 0.0 and max(last) - last[0] < HOPE
 
 
 def _best_step(
