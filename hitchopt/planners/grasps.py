@@ -246,14 +246,14 @@ class HoldJudge:
         body = self.planner.body
         if body.rim is None:
             return
-        yield from self._searched()
+        yield from self._searched(self.planner.state.polygons.below_rim)
         best = self._best
         if isinstance(best.hold, RestHold) and best.mass >= body.mass:
             yield self._search(best.hold, body.mass).changed_legs(best.hold), best.hold
 
-    def _searched(self) -> Iterator[Closing]:
-        """Yield the closings of holds that linear programs find from the rim's polygons."""
-        for clasps in self.planner.state.polygons.below_rim:
+    def _searched(self, polygons: Iterable[Array]) -> Iterator[Closing]:
+        """Yield the closings of holds that linear programs find from polygons (n, 2) [m]."""
+        for clasps in polygons:
             search = self._search(self._start(clasps), self.planner.body.mass)
             yield from ((search.changed_legs(hold), hold) for hold in search.holds())
 
@@ -447,13 +447,14 @@ class HoldJudge:
 
     @property
     def _better(self) -> HoldingHitch | None:
-        """The first hold that linear programs find and that carries the object; None without one.
+        """The first hold that programs find from the preferred polygon and that carries the object.
 
-        It has the smallest of RESERVES.
+        It has the smallest of RESERVES. None without one.
         """
         if self.planner.body.rim is None:
             return None
-        holds = (closing[-1] for closing in self._searched())
+        closings = self._searched([self.planner.state.polygons.clasps])
+        holds = (closing[-1] for closing in closings)
         return next((each for each in holds if self.carried(each, RESERVES[-1]) is None), None)
 
     def _carried_by(self, rated: Rated) -> float:

@@ -141,6 +141,20 @@ def test_resting_loads_are_limited_by_clasps_and_thrust() -> None:
     assert weak.mass < strong.mass < 2.0 * 4 * 1.0 * math.cos(math.pi / 4) / 9.81  # clasps close
 
 
+@pytest.mark.parametrize(("n", "cable"), [(3, 1.8), (4, 1.4)])
+def test_a_round_rim_bears_what_pulls_at_its_clasps_close(n: int, cable: float) -> None:
+    """Two legs and two edges of one tension T bear 2 T cos(π/n) at a clasp, with cables."""
+    kind = ho.Quadrotor(max_thrust=5.0)
+    options: dict[str, Any] = {"cable_length": cable, "tension": 1.0, "compared": ()}
+    holding = ho.fit(0.3, n, quadrotor=kind, height=0.2, **options).holding
+    assert isinstance(holding.rest, ho.ConvexPolygon)
+    edges = holding.rest.edge_lengths
+    cables = 0.005 * np.sum(0.5 * (cable + edges))  # edges, and half of the legs
+    bound = 2.0 * n * math.cos(math.pi / n) / 9.81 - cables
+    assert holding.rest_capacity.binding == "load"
+    assert 0.98 * bound < holding.rest_capacity.mass <= bound
+
+
 def test_fit_of_a_cylinder() -> None:
     limits = ho.Limits(tilt=math.radians(60.0))
     fit = ho.fit(0.2, 3, tension=1.3, limits=limits, compared=(3, 4))
