@@ -438,7 +438,7 @@ class HoldJudge:
             if straight > largest:
                 hold, largest = self._straight.hold, straight
         heavier = self.with_mass(max(OVERLOAD * largest, LIGHT))
-        while (better := heavier._better) is not None:
+        while (better := heavier.searched_hold) is not None:
             hold, largest = better, heavier.planner.body.mass
             heavier = self.with_mass(OVERLOAD * largest)
         error = heavier.carried(hold, RESERVES[-1])
@@ -446,7 +446,7 @@ class HoldJudge:
         return Heaviest(Capacity(largest, binding), hold if largest else None)
 
     @property
-    def _better(self) -> HoldingHitch | None:
+    def searched_hold(self) -> HoldingHitch | None:
         """The first hold that programs find from the preferred polygon and that carries the object.
 
         It has the smallest of RESERVES. None without one.
