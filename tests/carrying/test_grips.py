@@ -451,8 +451,9 @@ def test_a_stop_uses_only_the_remaining_friction(motion: Motion) -> None:
 
 
 def test_too_heavy_objects_are_refused_with_the_capacity_of_fit() -> None:
-    options: Any = {"cable_length": 1.6, "tension": 1.3, "clasp_friction": 0.1, "compared": ()}
-    found = ho.fit(RADIUS, 3, limits=ho.Limits(tilt_deg=60), **options).holding
+    cables: Any = {"cable_length": 1.6, "cable_density": 0.004, "clasp_friction": 0.1}
+    limits = ho.Limits(tilt_deg=60)
+    found = ho.fit(RADIUS, 3, tension=1.3, limits=limits, compared=(), **cables).holding
     grip, rim = (found.capacity(by).mass for by in ("grip", "rest"))
     with pytest.raises(ho.InfeasibleError) as refused:
         ho.solve(ho.problem_from_dict(drum(mass=1.5)))
