@@ -45,8 +45,11 @@ CROSSING = math.radians(60.0)
 It is fitted, not derived: after three morphs of a triangle at μ = 0.1, vertices rest within 0.8 cm
 of those of ropes with links of 10 mm. With 45° and 75° they are up to 0.7 and 1.1 cm off."""
 
-TOGETHER, APART = 1.0 + math.cos(CROSSING), 1.0 - math.cos(CROSSING)
-"""Eigenvalues of G, for the common and for the opposite part of x and y."""
+PARTS = 0.5 * np.array([[1.0, 1.0], [1.0, -1.0]])
+"""Common and opposite part of x and y, from these; twice it is its inverse."""
+
+EIGENVALUES = 1.0 + math.cos(CROSSING) * np.array([[1.0], [-1.0]])
+"""Eigenvalues of G, for both parts."""
 
 MAX_STEP = 0.001
 """[s] Longest time step of the cables. Steps of 2 ms excite the drones on their elastic cables."""
@@ -164,7 +167,7 @@ class ClaspWorld:
         self.tensions = np.tile(taut, (flights, 1))
         self._slips = np.zeros((flights, *network.legs.shape))  # to the legs, in the last step [m]
         self._last_slips = self._slips
-        self._multiplier = np.zeros((flights, len(layout.clasps)))  # λ in the last step
+        self._multiplier = np.zeros((flights, 1, len(layout.clasps)))  # λ in the last step
         self.slid = np.zeros_like(self._slips)
         load = np.concatenate([np.zeros(layout.points), team.mass])
         load[layout.clasps] = team.load
@@ -327,15 +330,13 @@ class ClaspWorld:
         λ times the eigenvalues. λ takes one step per call of the iteration of Moré and Sorensen for
         trust regions, for which ``1/sqrt(zᵀ G z)`` is almost linear.
         """
-        together, apart = 0.5 * (z[:, 0] + z[:, 1]), 0.5 * (z[:, 0] - z[:, 1])
+        parts = PARTS @ z
         multiplier = self._multiplier
-        p, q = 1.0 / (1.0 + TOGETHER * multiplier), 1.0 / (1.0 + APART * multiplier)
-        common = (2.0 * TOGETHER) * (together * p) ** 2
-        opposite = (2.0 * APART) * (apart * q) ** 2
-        square = common + opposite + TINY**2
-        slope = TOGETHER * p * common + APART * q * opposite + TINY**3
+        shrunk = 1.0 / (1.0 + EIGENVALUES * multiplier)
+        squares = (2.0 * EIGENVALUES) * (parts * shrunk) ** 2
+        square = np.add.reduce(squares, axis=1, keepdims=True) + TINY**2
+        slope = np.add.reduce(EIGENVALUES * shrunk * squares, axis=1, keepdims=True) + TINY**3
         excess = np.sqrt(square) * (1.0 / math.sin(CROSSING)) - 1.0
         self._multiplier = multiplier = np.maximum(multiplier + square * excess / slope, 0.0)
-        together = together / (1.0 + TOGETHER * multiplier)
-        apart = apart / (1.0 + APART * multiplier)
-        return np.stack([together + apart, together - apart], axis=1)
+        nearest: Array = 2.0 * PARTS @ (parts / (1.0 + EIGENVALUES * multiplier))
+        return nearest
