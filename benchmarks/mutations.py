@@ -84,7 +84,7 @@ MUTATIONS = (
     Mutation("/motion/loads.py", "return -body.mass * supports.shares", "return -0.5 * body.mass * supports.shares", "carry_box", "a factor of the object's weight"),
     Mutation("/motion/loads.py", "specific_forces[:, :, 2] += GRAVITY", "specific_forces[:, :, 2] -= GRAVITY", "carry_box", "sign of the object's weight"),
     Mutation("/motion/loads.py", "1.0 - np.cos(_rise_angle(team, mass, edges, tensions))", "0.0 * _rise_angle(team, mass, edges, tensions)", "carry_box", "the rim's strut dropped"),
-    Mutation("friction.py", "np.exp(self.source.team.cable_friction", "np.exp(-self.source.team.cable_friction", "friction", "sign of friction"),
+    Mutation("friction.py", "np.exp(self.source.team.friction", "np.exp(-self.source.team.friction", "friction", "sign of friction"),
     Mutation("cables.py", "high.value - largest * friction", "high.value - 0.9 * largest * friction", "friction", "a factor of the range of tensions"),
     Mutation("/motion/motion.py", "CableState.FREE, CableState.DRAWN})", "CableState.FREE, CableState.DRAWN, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
     Mutation("chords.py", "spans.sign_after - spans.sign_before", "spans.sign_after + spans.sign_before", "form_triangle", "sign of crossings"),

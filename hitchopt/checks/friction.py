@@ -39,7 +39,7 @@ class FrictionLegs(Drones):
         edge_directions = Enclosed(self.read(edges), self.noise).direction
         cosine = self.along.dot(edge_directions).lower.value - ROUNDING
         wrap_angle = np.pi - np.arccos(np.clip(cosine, -1.0, 1.0))
-        return np.asarray(np.exp(self.source.team.cable_friction * wrap_angle))
+        return np.asarray(np.exp(self.source.team.friction * wrap_angle))
 
 
 def leg_excess(spans: FrictionLegs) -> Bound:

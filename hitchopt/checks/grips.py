@@ -138,7 +138,7 @@ class Gripped(Held):
         turn_at_clasp = np.max(_angles(-self.legs, self.chords * SIGNS).high, axis=-1)
         leg_pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
         smaller_pulls = np.min(leg_pulls.reshape(len(self), -1, 2), axis=-1)
-        tensions = smaller_pulls * np.exp(-self.source.team.cable_friction * turn_at_clasp)
+        tensions = smaller_pulls * np.exp(-self.source.team.friction * turn_at_clasp)
         before = select(self.chords, 0).xy
         behind = select(self.chords, 1).xy
         wraps = _angles(before, behind).low

@@ -32,7 +32,9 @@ from hitchopt.values.fields import (
     Key,
     Record,
     documented,
+    either,
     integers,
+    list_of,
     mapping_of,
     one_or_each,
     store,
@@ -270,6 +272,21 @@ class Errors(Record):
     ] = 0.0
 
 
+def _friction(key: str, value: object) -> float | tuple[float, float]:
+    """Return a coefficient of friction, or the least and the largest one."""
+    checked: float | list[float] = _FRICTION_FORMS.check(key, value)
+    if not isinstance(checked, list):
+        return checked
+    least, largest = checked
+    if least > largest:
+        bound = "the least coefficient, then the largest"
+        raise InputError(key, value, bound, f"write [{largest:g}, {least:g}]")
+    return least, largest
+
+
+_FRICTION_FORMS = either(units.FRICTION, list_of(units.FRICTION, 2, 2))
+FRICTION_RANGE = replace(_FRICTION_FORMS, check=_friction)
+
 MAX_ROBOTS = 10_000
 """Largest number of robots, checked before any memory is allocated."""
 
@@ -319,7 +336,14 @@ class Team(ByValue):
         str, Key(words(CLOSED, OPEN), "closed: a polygon of n points; open: an arc of n + 1")
     ]
     cable_density: Annotated[float, Key(units.DENSITY, "Mass per length of the cables")]
-    cable_friction: Annotated[float, Key(units.FRICTION, "Coefficient of friction at the clasps")]
+    cable_friction: Annotated[
+        float | tuple[float, float],
+        Key(
+            FRICTION_RANGE,
+            "Coefficient of friction at the clasps, or the range [least, largest] within which "
+            "vertices settle, from 0 for a number; grips, legs and ropes have the largest",
+        ),
+    ]
     tension: Annotated[
         NDArray[np.float64],
         Key(
@@ -369,7 +393,7 @@ class Team(ByValue):
         *,
         topology: str = CLOSED,
         cable_density: float = 0.0,
-        cable_friction: float = 0.0,
+        cable_friction: float | tuple[float, float] = 0.0,
         tension: float | Sequence[float] | ArrayLike | None = None,
         quadrotor: Quadrotors | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
@@ -394,6 +418,18 @@ class Team(ByValue):
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def friction(self) -> float:
+        """Largest coefficient of friction at the clasps."""
+        stated = self.cable_friction
+        return stated[1] if isinstance(stated, tuple) else stated
+
+    @property
+    def least_friction(self) -> float:
+        """Least coefficient of friction at the clasps, 0 if one number is stated."""
+        stated = self.cable_friction
+        return stated[0] if isinstance(stated, tuple) else 0.0
 
     @property
     def drones(self) -> int:

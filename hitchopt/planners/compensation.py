@@ -38,7 +38,7 @@ def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:
 def compensated(plan: StepPlan, *, timed: bool) -> Compensated:
     """Return the plan of ``with_friction_feedforward`` and how much of the friction it covers."""
     motion = plan.motion
-    if motion.team.cable_friction == 0.0:
+    if motion.team.friction == 0.0:
         return Compensated(plan, 1.0)
     from hitchopt.planners.morph.friction import feedforward_matters, friction_feedforward
 

@@ -349,7 +349,7 @@ class HoldJudge:
         tension = self.planner.state.tension
         if isinstance(hold, GripHold):
             cable, pull = float(np.min(team.cable_length)), float(np.min(tension))
-            grip = Grip.of(body.section, hold.polygon, cable, pull, team.cable_friction)
+            grip = Grip.of(body.section, hold.polygon, cable, pull, team.friction)
             return grip_capacity(grip, team.quadrotor[0], body.friction, GRIP_LIMIT).mass
         if not isinstance(hold, RestHold):
             return 0.0

@@ -575,7 +575,7 @@ def refined_plan(
     path = plan.path
     if path is None:
         return plan, ""
-    has_friction = cost is None and task.hitch.team.cable_friction > 0.0
+    has_friction = cost is None and task.hitch.team.friction > 0.0
     leaning = compensated(plan, timed=False) if has_friction else None
 
     def certified(route: Path, motion: Motion) -> StepPlan | None:

@@ -32,18 +32,21 @@ MIN_SLIDE = 1e-3
 """[m] Change of leg lengths below which a step ends without settling."""
 
 STEP = 0.025
-"""[m] Mean difference in size of consecutive over-travels. Vertices rest within half a difference
-of the middle of their band: they stop moving once two over-travels together are smaller than it."""
+"""[m] Mean difference in size of consecutive over-travels against the stated friction. Vertices
+rest within half a difference: they stop once two over-travels together are within the band."""
 
 DECAY = 0.75
-"""Exponent of the sizes over time, which makes differences of large over-travels smaller, since
+"""Exponent of the frictions over time, which makes differences of large over-travels smaller, since
 friction that needs these leaves vertices farther off."""
 
 FIRST = 0.9
-"""Ratio of the first over-travel to the width of the band."""
+"""Friction of the first over-travel over that of a cable that slides alone."""
+
+CORRECTIONS = 2
+"""Corrections of the sizes of over-travels, after which vertices are within 5 mm of their goals."""
 
 SUFFICIENT = 0.8
-"""Least such ratio from which all friction yields, since a cable may slide alone. With 0.65,
+"""Least such share from which all friction yields, since a cable may slide alone. With 0.65,
 vertices of simulated triangles rest 4 cm off, 0.16 of the width of their bands."""
 
 MOVE_SHARE = 0.8
@@ -52,7 +55,7 @@ with which vertices swing without friction. At 0.5 over-travels are in resonance
 simulated drones reached a clasp; with 0.8, vertices swing by 1 to 3 cm."""
 
 SHARES = (1.0, 0.8, 0.6, 0.4)
-"""Shares of the over-travels that are tried, where limits bind."""
+"""Shares of the first friction from which over-travels are tried, where limits bind."""
 
 FOLLOWING = 0.5
 """Smallest way of a vertex that over-travels, over that of the vertex that moved farthest."""
@@ -68,7 +71,7 @@ def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) ->
     ``settle`` is ``Step.settling`` of its last step. Raises InfeasibleError as ``settling_plan``.
     """
     hitch = plan.after.hitch
-    if settle is False or hitch is None or hitch.team.cable_friction == 0.0:
+    if settle is False or hitch is None or hitch.team.friction == 0.0:
         return plan
     before = task.before.hitch
     largest_slide = np.max(np.ptp(plan.motion.legs.coefficients, axis=(0, -1)))
@@ -114,38 +117,27 @@ class Settling:
     @cached_property
     def at_rest(self) -> dict[str, Array]:
         """The hitch at rest, as ``planned_rest``."""
-        from hitchopt.hitch.rest_errors import planned_rest
+        return _rests([self.task.hitch], self.task.requirements)
 
-        motion = rest_plan(self.task.hitch, self.task.requirements).motion
-        states = states_at(motion, np.zeros(1))
-        return planned_rest(
-            motion.team, states.positions, states.vertices, states.tensions, states.cable_forces
-        )
+    @cached_property
+    def slides(self) -> Array:
+        """(n, 2), signs of the slides toward the legs since the start, or outward without one."""
+        end, start = self.task.hitch, self.start
+        return np.ones_like(end.legs) if start is None else np.sign(end.legs - start.legs)
 
     @cached_property
     def bands(self) -> Array:
         """(points, 2) [m], the bands of rest across which vertices over-travel.
 
-        They span the rests with friction against the slides of the cables since the start, or
-        outward without one, and in their direction. If vertices moved, bands are along their ways,
-        and 0 for others. They are nan where friction has no balance.
+        They span the rests with friction against the slides of the cables, and in their direction.
+        If vertices moved, bands are along their ways, and 0 for others. They are nan where friction
+        has no balance.
         """
-        from hitchopt.hitch.rest_errors import settled
-
         end, start = self.task.hitch, self.start
-        team = end.team
-        slides = np.ones_like(end.legs) if start is None else np.sign(end.legs - start.legs)
-        friction = BOTH_SLIDE * team.cable_friction * slides
         both_ways = {name: np.repeat(values, 2, axis=0) for name, values in self.at_rest.items()}
-        against, along = settled(
-            team,
-            both_ways,
-            lengths=np.zeros((2, team.robots)),
-            offsets=np.zeros((2, team.drones, 3)),
-            friction=np.stack([friction, -friction]),
-        )
+        against, along = self._resting(both_ways, np.array([BOTH_SLIDE, -BOTH_SLIDE]))
         bands = np.zeros_like(end.polygon.vertices)
-        clasps = team.layout.clasps
+        clasps = end.team.layout.clasps
         bands[clasps] = (along - against)[clasps, :2]
         ways = np.zeros_like(bands) if start is None else (end.vertices - start.vertices)[:, :2]
         distances = length(ways)
@@ -155,6 +147,22 @@ class Settling:
         directions = ways / np.maximum(distances, MIN_SLIDE)[:, None]
         widths = np.abs(dot(bands, directions)) * (distances >= FOLLOWING * farthest)
         return np.asarray(widths[:, None] * directions)
+
+    def _resting(self, rests: dict[str, Array], shares: Array) -> Array:
+        """Return vertices (S, points, 3) [m] of rests (S, …) with shares (S,) of the friction.
+
+        It acts against slides; a negative share acts in their direction.
+        """
+        from hitchopt.hitch.rest_errors import settled
+
+        team = self.task.hitch.team
+        return settled(
+            team,
+            rests,
+            lengths=np.zeros((len(shares), team.robots)),
+            offsets=np.zeros((len(shares), team.drones, 3)),
+            friction=(team.friction * shares)[:, None, None] * self.slides,
+        )
 
     @property
     def width(self) -> float:
@@ -174,25 +182,57 @@ class Settling:
         return MOVE_SHARE * longest_period(self.task.hitch.team, self.at_rest)
 
     def over_travels(self, share: float) -> StepPlan:
-        """Return the certified plan of a share of the over-travels."""
-        goal, requirements = self.task.hitch, self.task.requirements
-        size = share * FIRST * self.width
+        """Return the certified plan of the over-travels from a share of the first friction on."""
+        goal = self.task.hitch
         short = min(0.5, SUFFICIENT - share * FIRST) * self.width
         self._require_near(short)
-        count = math.ceil(size / STEP)
-        decay = np.linspace(1.0, 1.0 / count, count) ** DECAY
-        sizes = share * FIRST * decay * (-1.0) ** np.arange(count)
-        hitches = [_beyond(goal, by * self.bands, requirements) for by in sizes.tolist()]
+        hitches = self._beyond(self._frictions(share * FIRST))
+        size = max(float(np.max(length(each.vertices - goal.vertices))) for each in hitches)
         ends = [*hitches, goal, goal]
         moves = plan_in_sequence([partial(self._move, end) for end in ends], self.task)
         motion = moves.motion.replaced(phases=(self.phase.retimed(0.0, moves.motion.duration),))
         if self.duration is not None:
             motion = _lasting(motion, self.duration)
-        times = counted(count, "time")
+        times = counted(len(hitches), "time")
         remark = f"{self.vertex} over-travels {times}, by up to {100.0 * size:.2g} cm"
         if short > 0.0:
             remark += f", and may rest {100.0 * short:.2g} cm short: limits bind"
         return require_certified(moves.replaced(motion, moves.after).with_remark(remark))
+
+    def _frictions(self, first: float) -> Array:
+        """Return the shares of friction of over-travels, which decay from the first; none is above.
+
+        Half of them are against the friction of cables that slide alone, and half against that of
+        two that slide at a clasp. The last one is not above that of the least friction, which does
+        not yield to smaller ones.
+        """
+        team = self.task.hitch.team
+        last = BOTH_SLIDE * team.least_friction / team.friction
+        count = math.ceil(BOTH_SLIDE * self.width / STEP)
+        steps = np.arange(count, 0, -1) / count
+        together = BOTH_SLIDE * steps**DECAY
+        alone = BOTH_SLIDE + (first - BOTH_SLIDE) * steps**2
+        shares = np.concatenate([alone, together])
+        before = np.append(np.inf, shares[:-1])
+        return np.asarray(shares[(shares <= first) & (before > last)])
+
+    def _beyond(self, shares: Array) -> list[Hitch]:
+        """Return hitches beyond the goal on alternating sides, one by share of the friction.
+
+        Friction stops vertices on their way there at the goal. Its band is wider on one side, so
+        vertices that over-travelled by the same sizes would end off the goal.
+        """
+        goal, requirements = self.task.hitch, self.task.requirements
+        widest = int(np.argmax(length(self.bands)))
+        directions = self.bands / self.width
+        signed = shares * (-1.0) ** np.arange(len(shares))
+        sizes = signed * self.width
+        for _ in range(CORRECTIONS):
+            hitches = [_displaced(goal, size * directions, requirements) for size in sizes.tolist()]
+            stopped = self._resting(_rests(hitches, requirements), signed)
+            beyond = (stopped - goal.vertices)[:, widest, :2] @ directions[widest]
+            sizes -= np.where(np.isfinite(beyond), beyond, 0.0)
+        return [_displaced(goal, size * directions, requirements) for size in sizes.tolist()]
 
     def _move(self, end: Hitch, task: StepTask) -> StepPlan:
         """Return the plan of a straight morph, or of a rest."""
@@ -233,7 +273,22 @@ def _lasting(motion: Motion, duration: float) -> Motion:
     return motion.slowed(duration / motion.duration)
 
 
-def _beyond(goal: Hitch, offsets: Array, requirements: Requirements) -> Hitch:
+def _rests(hitches: list[Hitch], requirements: Requirements) -> dict[str, Array]:
+    """Return hitches of a team at rest, as ``planned_rest``."""
+    from hitchopt.hitch.rest_errors import planned_rest
+
+    rests = []
+    for hitch in hitches:
+        motion = rest_plan(hitch, requirements).motion
+        states = states_at(motion, np.zeros(1))
+        forces = states.cable_forces
+        rests.append(
+            planned_rest(motion.team, states.positions, states.vertices, states.tensions, forces)
+        )
+    return {name: np.concatenate([rest[name] for rest in rests]) for name in rests[0]}
+
+
+def _displaced(goal: Hitch, offsets: Array, requirements: Requirements) -> Hitch:
     """Return the hitch with vertices displaced by offsets (points, 2) [m] and the nearest legs."""
     try:
         polygon = checked_polygon(goal.team, goal.polygon.vertices + offsets)

@@ -126,7 +126,7 @@ class Settle(Step):
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step, or raise InputError for a team whose cables have no friction."""
-        if team.cable_friction == 0.0:
+        if team.friction == 0.0:
             bound = "used with a team whose cables have friction"
             remedy = "set team.cable_friction, or omit the step"
             raise InputError("", "no friction", bound, remedy)

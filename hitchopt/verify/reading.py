@@ -64,7 +64,7 @@ TYPES = {
     "group": "name:text plan:text digest:text records:records",
     "records": "team:any requirements:requirements phases:phase[] assignment:roles?",
     "requirements": "limits:limits separation:separation arena:arena? keep_out:prism[] objects:any",
-    "team": "robots:count cable_length:+[] topology:text cable_density:0+ cable_friction:0+ "
+    "team": "robots:count cable_length:+[] topology:text cable_density:0+ cable_friction:range "
     "tension:+[] quadrotor:kind[] load:0+[] errors*:errors release*:flag",
     "errors": "cable_length:0+ drone:tube? friction:0+",
     "single": "drones:count quadrotor:kind[]",
@@ -94,6 +94,11 @@ SCALARS: dict[str, Callable[[Any], bool]] = {
     "number": lambda x: type(x) in (int, float) and abs(x) < BIG,
     "+": lambda x: SCALARS["number"](x) and x > 0,
     "0+": lambda x: SCALARS["number"](x) and x >= 0,
+    "range": lambda x: (
+        all(SCALARS["0+"](y) for y in x) and len(x) == 2 and x[0] <= x[1]
+        if type(x) is list
+        else SCALARS["0+"](x)
+    ),
     "sense": lambda x: x in ("min", "max"),
     "tube": lambda x: SCALARS["number"](x) and x >= 0,
     "any": lambda _: True,
@@ -403,7 +408,8 @@ class Plan:
         leg[:1, 0] = leg[-1:, 1] = self.closed
         self.leg, self.anchor = leg.ravel(), own.ravel()
         self.pull_point = np.where(leg, own, own[:, ::-1]).ravel()
-        self.weight, self.mu = G * float(team["cable_density"]), float(team["cable_friction"])
+        self.weight = G * float(team["cable_density"])
+        self.mu = float(np.max(team["cable_friction"]))
         self.load = (np.array(team["load"], dtype=float) * np.ones(len(self.clasps)))[:, None]
         self.length: Array = np.array(team["cable_length"], dtype=float)[self.robot, None]
         self.team: Array = np.array(team["tension"], dtype=float)[self.robot, None]

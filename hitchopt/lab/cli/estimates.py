@@ -301,7 +301,7 @@ def _calibration_tables(calibration: Calibration) -> str:
         names = ", ".join(team.drone_names[per_kind * k : per_kind * (k + 1)])
         stated = team.stiffness[per_kind * k, 0]
         estimates.append((f"stiffness of {names} [N/m]", estimate, stated))
-    estimates.append(("friction", calibration.friction, team.cable_friction))
+    estimates.append(("friction", calibration.friction, team.friction))
     rows, remarks = [], []
     for name, estimate, planned in estimates:
         cells = {"value": "not determined", "± error": ""}

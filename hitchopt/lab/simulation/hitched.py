@@ -100,7 +100,7 @@ class HitchedFlights:
         flights, states = len(self._seeds), task.states[span.first]
         density = settings.density or team.cable_density
         disturbances = control.Disturbances(settings.perturbations, task.team.robots, *self._seeds)
-        friction = task.team.cable_friction if settings.friction is None else settings.friction
+        friction = task.team.friction if settings.friction is None else settings.friction
         still = np.zeros_like(states.positions)
         leaning = control.desired_attitudes(states.thrusts(team))
         unstretched = team.cable_length / (1.0 + team.tension / AXIAL_STIFFNESS)

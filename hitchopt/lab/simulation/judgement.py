@@ -618,7 +618,7 @@ def closest(flight: SimulatedFlight, scale: ArrayLike = 1.0) -> Closest:
 
 def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
     """Return warnings about quantities that the plan leaves open, and drones not simulated."""
-    frictionless = any(not part.team.cable_friction for part in task.teams)
+    frictionless = any(not part.team.friction for part in task.teams)
     messages = [NO_FRICTION] if settings.friction is None and frictionless else []
     weightless = [part for part in task.teams if not part.team.cable_density]
     if settings.cables == CLASPS:

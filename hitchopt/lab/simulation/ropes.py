@@ -72,7 +72,7 @@ class Ropes:
         cables without weight are the lightest ones for it.
         """
         density = simulated_density(team, settings, tension)
-        friction = team.cable_friction if settings.friction is None else settings.friction
+        friction = team.friction if settings.friction is None else settings.friction
         ropes = cls(lengths, density, friction, settings.preset)
         step = settings.preset.time_step / ropes.substeps(tension)
         return replace(ropes, preset=replace(settings.preset, time_step=step))

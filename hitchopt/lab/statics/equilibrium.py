@@ -29,7 +29,7 @@ from hitchopt.plan import Plan
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.values import Array, as_array, check_instance, plain
 from hitchopt.values.fields import Key, keys_of
-from hitchopt.values.units import AXIAL_FORCE, STIFFNESS
+from hitchopt.values.units import AXIAL_FORCE, FRICTION, STIFFNESS
 
 POSITIVE = float(np.finfo(np.float64).tiny)  # Smallest positive number
 LARGEST = float(np.finfo(np.float64).max)  # Largest finite number
@@ -63,7 +63,7 @@ def condition_keys() -> dict[str, Key]:
     keys = {
         "cable_length": team["cable_length"],
         "density": team["cable_density"],
-        "friction": team["cable_friction"],
+        "friction": replace(team["cable_friction"], kind=FRICTION),
         "load": team["load"],
         "axial_stiffness": Key(
             AXIAL_FORCE, f"Stiffness EA of cables to stretch; {AXIAL_STIFFNESS:g} N by default"
@@ -84,7 +84,7 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
     """
     drones, conditions = (team.drones,), {}
     defaults = {"offsets": 0.0, "forces": 0.0, "axial_stiffness": AXIAL_STIFFNESS}
-    defaults["friction"] = team.cable_friction
+    defaults["friction"] = team.friction
     table: dict[str, tuple[tuple[int, ...], float]] = {
         "cable_length": ((team.robots,), POSITIVE),
         "cable_density": ((), 0.0),

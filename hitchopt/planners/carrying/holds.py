@@ -500,7 +500,7 @@ class GripHold(HoldingHitch):
         edge_tension = leg_tension
         leg_pulls = None
         if move.friction_share != (0.0, 0.0):
-            friction = team.cable_friction * state.between(*move.friction_share)
+            friction = team.friction * state.between(*move.friction_share)
             edge_tension = leg_tension * edge_ratios(friction, edges.wraps.clasp_angles)
             leg_pulls = np.stack([leg_tension, leg_tension], axis=-1)
 

@@ -419,7 +419,7 @@ class MovePlanner:
         legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
         legs_at_clasps = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
         residual = residual_grip(
-            legs_at_clasps, last_opening.tension[1], team.cable_friction, body.friction
+            legs_at_clasps, last_opening.tension[1], team.friction, body.friction
         )
         limit = MAX_RESIDUAL_GRIP * body.mass * GRAVITY
         if residual > limit:
@@ -441,7 +441,7 @@ class MovePlanner:
         """
         hold = self.grip
         opens = closure[0] > closure[1]
-        has_friction = hold.team.cable_friction > 0.0
+        has_friction = hold.team.friction > 0.0
         friction_shares = FRICTION_SHARES if has_friction else (0.0,)
         tensions_between = self._tensions_between(hold, tension[1] if opens else None)
 
@@ -608,7 +608,7 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
         can be tied at that size.
     """
     team = hitch.team
-    friction = team.cable_friction
+    friction = team.friction
     if friction == 0.0 or np.any(hitch.roll):
         return
     vertices = hitch.polygon.vertices

@@ -577,7 +577,7 @@ def grip_clasps(
             raise refused_value(feature, neighbour, list(values), RequestError, name=key)
     drone, cable = kinds[0], float(team.cable_length[0])
     tension = SEARCH_TENSION_RATIO * drone.level_pull(requirements.limits.tilt)[0]
-    friction, section = team.cable_friction, body.section
+    friction, section = team.friction, body.section
     task = GripTask(section, team.robots, cable, tension, friction, requirements, drone)
     with violations_at(f"around objects.{name}"):
         yield from (grip.vertices for grip in grips(task))

@@ -218,7 +218,7 @@ def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
         return None
     rates_of_both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW_SHARE * fastest
     clasps = _ForceTriangles.of(motion, t)
-    friction = min(motion.team.cable_friction, MAX_FRICTION)
+    friction = min(motion.team.friction, MAX_FRICTION)
     slip = friction * clasps.wrap_angles * rates / rates_of_both
     slip *= share * clasps.feasible_share(slip)[..., None]
     slip[:ZERO_COEFFICIENTS] = 0.0
