@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -527,8 +528,14 @@ def test_cables_fly_as_high_as_bounds_on_their_displacements_require() -> None:
 
 
 def test_cables_that_meet_sides_as_they_cross_are_refused() -> None:
+    """Clasps 2 cm off the middles of two sides; another grip can be tied."""
+    stated = problem([TIE], prism(10, 0.3))
+    best, requirements = tied_grip(stated)
+    middle = 0.306 * np.array([math.cos(math.pi / 10.0), math.sin(math.pi / 10.0)])
+    hold = GripHold.tied(stated.team, best.body, np.stack([middle, -middle]), best.height)
     with pytest.raises(ho.InfeasibleError, match=r"continuity.*deg.*longer cables.*circle"):
-        ho.solve(problem([TIE], prism(10, 0.3)))
+        find_straddle("drum", hold, np.ones(2), requirements)
+    find_straddle("drum", best, np.ones(2), requirements)
 
 
 @pytest.mark.parametrize(
