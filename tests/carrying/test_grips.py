@@ -111,7 +111,7 @@ def ratios(motion: Motion, t: Array) -> Array:
     theta = angle(flat * leaving, flat * arriving)
     legs = motion.drones.at(t) - motion.vertices.at(t)[:, motion.team.layout.anchors]
     wrapped = np.maximum(angle(-legs[:, 0::2], leaving), angle(-legs[:, 1::2], -arriving))
-    least = motion.tensions.at(t) * np.exp(-motion.team.cable_friction * wrapped)
+    least = motion.tensions.at(t) * np.exp(-motion.team.friction * wrapped)
     a = motion.poses.differentiated(2).at(t)[:, 0, 2]
     slip: Array = body.friction * np.sum(least * theta, axis=1)
     return slip / (body.mass * (GRAVITY + a))
