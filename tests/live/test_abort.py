@@ -267,7 +267,7 @@ def test_no_cable_sinks_below_the_ground() -> None:
 
 
 def test_a_hitch_whose_cables_reach_the_ground_first_does_not_land_tied() -> None:
-    with pytest.raises(ho.InfeasibleError, match=r"cables of the hitch would be 0\.21 m below"):
+    with pytest.raises(ho.InfeasibleError, match=r"its cables would be 0\.21 m below"):
         Aborts(heavy().flight).plan(TIME, "land")
 
 

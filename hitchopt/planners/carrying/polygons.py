@@ -130,8 +130,8 @@ MAX_IMBALANCE = 1e-6
 SCREENING_ITERATIONS = 12
 """Maximum number of iterations from every guess."""
 
-FINALISTS = 2
-"""Number of best grips that are refined further."""
+FINALISTS = 3
+"""Number of best grips that are refined further: mirror images, and another one."""
 
 MAX_ITERATIONS = 60
 """Maximum number of iterations from the finalists."""
