@@ -82,20 +82,32 @@ def test_edges_move_the_object(name: str) -> None:
     assert np.max(np.abs(np.sum(moment, axis=1))) < 1e-3
 
 
+def arcs_of(section: ho.Section, seen: Array) -> Array:
+    """Return the lengths (times, n) [m] of edges between contacts (times, n, 2, 2) on a section.
+
+    On a polygon they run along its sides, clockwise.
+    """
+    chords = seen[:, :, 1] - seen[:, :, 0]
+    if section.radius is not None:
+        angles = angle(*(np.pad(seen[:, :, end], ((0, 0), (0, 0), (0, 1))) for end in (0, 1)))
+        return section.radius * np.where(np.linalg.norm(chords, axis=-1) > 1e-9, angles, 0.0)
+    outline = section.core
+    to_corners = np.linalg.norm(seen[..., None, :] - outline, axis=-1)
+    sides = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=-1)
+    along = np.append(0.0, np.cumsum(sides))[np.argmin(to_corners, axis=-1)]
+    bent = np.max(np.min(to_corners, axis=-1), axis=-1) < 1e-6
+    lengths = (along[..., 1] - along[..., 0]) % np.sum(sides)
+    return np.where(bent, lengths, np.linalg.norm(chords, axis=-1))
+
+
 @pytest.mark.parametrize("name", OBJECTS)
 def test_parts_of_cables_add_up_to_their_lengths(name: str) -> None:
-    """Legs, tangents and arcs use up the cable; arcs by many chords on the section."""
+    """Legs, tangents and what lies on the section use up the cable."""
     motion = plan(name).motion
     t, team = np.linspace(0.0, motion.duration, 700), motion.team
     section = next(iter(motion.requirements.objects.values())).section
     leaving, arriving, contacts = parts_of(motion, t)
-    seen = in_frame(motion.poses.at(t)[:, None, None, 0], contacts)[..., :2]
-    across, shares = seen[:, :, 1] - seen[:, :, 0], np.linspace(0.0, 1.0, 401)
-    chords = seen[:, :, 0] + shares[:, None, None, None] * across
-    if section.radius is not None:
-        touching = np.linalg.norm(across, axis=-1) > 1e-9
-        chords = np.where(touching[..., None], section.radius * unit(chords), chords)
-    arcs = np.sum(np.linalg.norm(np.diff(chords, axis=0), axis=-1), axis=0)
+    arcs = arcs_of(section, in_frame(motion.poses.at(t)[:, None, None, 0], contacts)[..., :2])
     legs = motion.drones.at(t) - motion.vertices.at(t)[:, team.layout.anchors]
     sizes = np.linalg.norm(legs, axis=-1).reshape(len(t), -1, 2).sum(axis=-1)
     straight = np.linalg.norm(leaving, axis=-1) + np.linalg.norm(arriving, axis=-1)
@@ -299,28 +311,34 @@ def around_a_stone(mass: float, clasps: float = 0.0) -> ho.Problem:
     return ho.problem_from_dict(given)
 
 
+def assert_pushes_less_as_it_closes(motion: Motion) -> None:
+    """Edges would push the object along at their full tension, and close with less."""
+    (body,) = motion.requirements.objects.values()
+    grasp = next(phase for phase in motion.phases if phase.name == "grasp")
+    t = np.linspace(grasp.start, grasp.end, 4001)
+    leaving, arriving, _ = parts_of(motion, t)
+    T, away = motion.tensions.at(t), unit(leaving) - unit(arriving)
+    pushed = np.max(np.linalg.norm(np.sum(T[..., None] * away, axis=1)[:, :2], axis=-1))
+    held = body.friction * body.mass * GRAVITY
+    assert 0.05 < pushed < held < np.max(T) * pushed / np.min(T)
+
+
 @pytest.mark.slow
 def test_edges_that_touch_first_have_low_tensions_or_are_refused() -> None:
-    """At 1.3 N they would push the stone along; it is closed with less, and tightened then."""
-    grasped = ho.solve(around_a_stone(0.05)).motion
+    grasped = ho.solve(around_a_stone(0.03)).motion
+    assert_pushes_less_as_it_closes(grasped)
     grasp = next(phase for phase in grasped.phases if phase.name == "grasp")
-    t = np.linspace(grasp.start, grasp.end, 4001)
-    leaving, arriving, _ = parts_of(grasped, t)
-    T, away, held = grasped.tensions.at(t), unit(leaving) - unit(arriving), 1.0 * 0.05 * 9.81
-    pushed = np.max(np.linalg.norm(np.sum(T[..., None] * away, axis=1)[:, :2], axis=-1))
-    assert 0.05 < pushed < held < 1.3 * pushed / np.min(T)
-    np.testing.assert_allclose(T[-1], 1.3)
-    for mass, clasps, words in ((0.005, 0.0, "pushed by the edges"), (0.05, 0.2, "clasps stick")):
+    np.testing.assert_allclose(grasped.tensions.at(np.array([grasp.end])), 1.3)
+    for mass, clasps, words in ((0.002, 0.0, "pushed by the edges"), (0.05, 0.2, "clasps stick")):
         with pytest.raises(ho.InfeasibleError, match=words):
             ho.solve(around_a_stone(mass, clasps))
 
 
 @pytest.mark.slow
 def test_edges_close_around_a_light_box_with_so_little_tension_that_it_stays() -> None:
-    """With 0.3 N they would push 49 g along."""
     plan = ho.solve(ho.problem_from_dict(wild_carry(12)))
     assert plan.certificate.certified
-    assert np.min(plan.motion.tensions.coefficients) < 0.25
+    assert_pushes_less_as_it_closes(plan.motion)
 
 
 def opening(friction: float, radius: float = 0.12) -> str:
