@@ -149,8 +149,12 @@ class HoldSearch:
 
     def changing_legs(self, hold: RestHold) -> HoldSearch:
         """Return the search whose legs change where a hold's have the largest margin."""
+        return self._by_margin(hold)[0]
+
+    def _by_margin(self, hold: RestHold) -> list[HoldSearch]:
+        """Return the searches for LEGS_CHANGED, first that with a hold's largest margin."""
         searches = [replace(self, legs_changed=place) for place in LEGS_CHANGED]
-        return max(searches, key=lambda search: search.closing_margin(hold))
+        return sorted(searches, key=lambda search: -search.closing_margin(hold))
 
     def closing_margin(self, hold: RestHold) -> float:
         """Return the smallest margin on the way from around the object to a hold."""
@@ -166,7 +170,8 @@ class HoldSearch:
 
     def found(self, guess: Array) -> RestHold | None:
         """Return the hold that a search reaches from a guess (n, 4); None if it breaks a limit."""
-        return self.changing_legs(self._hold(guess)).reached(guess)
+        reached = (search.reached(guess) for search in self._by_margin(self._hold(guess)))
+        return next((hold for hold in reached if hold is not None), None)
 
     def reached(self, guess: Array) -> RestHold | None:
         """Return ``found``, with legs that change at this search's place."""
