@@ -90,7 +90,9 @@ def arcs_of(section: ho.Section, seen: Array) -> Array:
     chords = seen[:, :, 1] - seen[:, :, 0]
     if section.radius is not None:
         angles = angle(*(np.pad(seen[:, :, end], ((0, 0), (0, 0), (0, 1))) for end in (0, 1)))
-        return section.radius * np.where(np.linalg.norm(chords, axis=-1) > 1e-9, angles, 0.0)
+        touching = np.linalg.norm(chords, axis=-1) > 1e-9
+        arcs: Array = section.radius * np.where(touching, angles, 0.0)
+        return arcs
     outline = section.core
     to_corners = np.linalg.norm(seen[..., None, :] - outline, axis=-1)
     sides = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=-1)
