@@ -99,7 +99,8 @@ def arcs_of(section: ho.Section, seen: Array) -> Array:
     along = np.append(0.0, np.cumsum(sides))[np.argmin(to_corners, axis=-1)]
     bent = np.max(np.min(to_corners, axis=-1), axis=-1) < 1e-6
     lengths = (along[..., 1] - along[..., 0]) % np.sum(sides)
-    return np.where(bent, lengths, np.linalg.norm(chords, axis=-1))
+    found: Array = np.where(bent, lengths, np.linalg.norm(chords, axis=-1))
+    return found
 
 
 @pytest.mark.parametrize("name", OBJECTS)
