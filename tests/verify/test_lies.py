@@ -310,6 +310,8 @@ LIES = [
     Lie("morph", "clasps carry a load", put("team", "load", [0.02] * 3), REFUSED),
     Lie("morph", "clasps carry a load, and were asked to", put("team", "load", [0.02] * 3), "equilibrium"),
     Lie("morph", "friction is told higher", put("team", "cable_friction", 0.3), REFUSED),
+    Lie("morph", "friction is told as a range", put("team", "cable_friction", [0.1, 0.3]), REFUSED),
+    Lie("morph", "a range of friction ends first", put("team", "cable_friction", [0.3, 0.1]), REFUSED),
     Lie("morph", "an open chain", put("team", "topology", "open"), REFUSED),
     # Limits and what was asked.
     Lie("morph", "a faster limit", put("limits", "speed", 9.0), REFUSED),
