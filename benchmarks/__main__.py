@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import sys
 from pathlib import Path
 
@@ -38,6 +39,7 @@ def main() -> int:
     if len(sys.argv) > 1 and sys.argv[1] in NAMES:
         name = sys.argv.pop(1)
         sys.argv[0] = f"python -m benchmarks {name}"
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as hitchopt's own command line
         return int(importlib.import_module(f"benchmarks.{name}").main() or 0)
     print(__doc__)
     for name in NAMES:

@@ -17,9 +17,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ import hitchopt as ho
 from benchmarks.families import FAMILIES, outcome
 from benchmarks.libraries import counts, lines
 from benchmarks.measuring import ROOT, environment, parser, timed
-from benchmarks.rival import Rival, RivalError
+from benchmarks.rival import Rival, RivalError, RivalFlight
 from hitchopt import verify
 from problems.random_morph import irregular_pairs
 from problems.swarm import square_mission
@@ -45,6 +45,7 @@ METHODS = {
     "routed": "`ho.morph`, routed",
     "optimised": "`ho.morph(optimize=True)`",
     "ipopt": "plain casadi and IPOPT, by us, warm",
+    "seeded": "the same, from our plan",
     "rockit": "rockit-meco and IPOPT, warm",
 }
 """Methods and their names on the page."""
@@ -54,6 +55,7 @@ SHORT_METHODS = {
     "routed": "routed",
     "optimised": "optimised",
     "ipopt": "casadi, IPOPT",
+    "seeded": "from our plan",
     "rockit": "rockit, IPOPT",
 }
 """Names of methods in figures."""
@@ -64,11 +66,19 @@ SHARES = {
     "C1": ("straight", "routed"),
     "C2": ("optimised",),
     "C3": ("ipopt",),
-    "C4": ("rockit",),
+    "C4": ("seeded",),
+    "C5": ("rockit",),
 }
 """Methods by the colours of shares of solved pairs; a pair is flown straight or routed."""
 
-MARKERS = {"straight": "v", "routed": "s", "optimised": "o", "ipopt": "D", "rockit": "^"}
+MARKERS = {
+    "straight": "v",
+    "routed": "s",
+    "optimised": "o",
+    "ipopt": "D",
+    "seeded": "d",
+    "rockit": "^",
+}
 """Markers of methods in figures."""
 
 SHIFT = 0.1
@@ -261,18 +271,26 @@ class Rivals:
             from benchmarks.rockit_rival import RockitRival
 
             rival = Rival(team, ho.Limits(), ho.Separation(), self.limit)
-            self.warm[key] = rival if method == "ipopt" else RockitRival(rival)
+            self.warm[key] = RockitRival(rival) if method == "rockit" else rival
         return self.warm[key]
+
+    def solve(self, method: str, pair: Pair) -> Callable[[], RivalFlight]:
+        """Return the call that solves a pair."""
+        start, end = pair.ends
+        rival = self.of(method, start.team)
+        if isinstance(rival, Rival) and method == "seeded":
+            return partial(rival.solve, start, end, pair.plan(optimize=False))
+        return partial(rival.solve, start, end)
 
     def result(self, method: str, pair: Pair, index: int) -> Result:
         """Return the result of a rival, solved twice if its program is new."""
-        start, end = pair.ends
-        is_new = (method, start.team.robots) not in self.warm
-        rival, n = self.of(method, start.team), start.team.robots
+        n = pair.data["n"]
+        is_new = (method, n) not in self.warm
+        solve = self.solve(method, pair)
         for _ in range(2 if is_new else 1):
             start_time = time.process_time()
             try:
-                excess, remark = rival.solve(start, end).excess, ""
+                excess, remark = solve().excess, ""
             except RivalError as error:
                 excess, remark = None, str(error)
             seconds = time.process_time() - start_time
@@ -289,7 +307,7 @@ def measure(store: Store, problems: int, limit: float) -> None:
             store.add(planned(pair, index, optimize=False))
         if not store.has("optimised", index):
             store.add(planned(pair, index, optimize=True))
-    for method in ("ipopt", "rockit"):
+    for method in ("ipopt", "seeded", "rockit"):
         for index, pair in enumerate(pairs):
             if pair.data["n"] <= MAX_RIVAL_ROBOTS and not store.has(method, index):
                 store.add(rivals.result(method, pair, index))
