@@ -103,7 +103,7 @@ def __getattr__(name: str) -> object:
         return _public_names()
     if name in _ROOMS:
         raise AttributeError(
-            f"module 'hitchopt' has '{name}' in a room: from {_ROOMS[name]} import {name}"
+            f"'{name}' is not in hitchopt itself: from {_ROOMS[name]} import {name}"
         )
     if name in _MODULES:
         value: object = getattr(import_module(_MODULES[name]), name)

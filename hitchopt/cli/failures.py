@@ -53,7 +53,7 @@ class SafeGroup(click.Group):
         if self.help is None:
             with formatter.indentation():
                 formatter.write_paragraph()
-                formatter.write_text("python -OO removes all descriptions: run it without.")
+                formatter.write_text("python -OO strips all descriptions: run it without -OO.")
         for heading, names in self.sections.items():
             commands = [(name, self.get_command(ctx, name)) for name in names]
             rows = [(name, each.get_short_help_str(MAX_SUMMARY)) for name, each in commands if each]

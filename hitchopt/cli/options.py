@@ -48,7 +48,7 @@ class Number(click.types.FloatParamType):
 
 
 class WholeNumber(click.types.IntParamType):
-    """A whole number, refused as such numbers in files are."""
+    """A whole number, validated as in problem files."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number; raises InputError for other values."""

@@ -368,7 +368,7 @@ def _changed_others(flight: Flight, path: Path) -> Iterator[str]:
         folders = Path(), path.parent, path.parent.parent
         files = [file for folder in folders if (file := plan_path(folder / each.plan)).is_file()]
         if not any(is_of(each, file) for file in files):
-            state = f"{files[0]} is another plan" if files else "its plan is missing"
+            state = f"{files[0]} is a different plan" if files else "its plan is missing"
             yield f"others: {each.name} ({each.plan}): {state}; solve again with the current plan"
 
 

@@ -123,7 +123,7 @@ class FileContents:
             times = times[:1]
         spans = len(np.unique(np.rint(np.concatenate(times) / BREAK_TOLERANCE))) - 1
         if spans * len(curves) > MAX_SPANS:
-            reason = f"{len(curves)} drones with {spans} spans of time are too many to be read"
+            reason = f"{len(curves)} drones with {spans} spans of time exceed {MAX_SPANS} in all"
             raise FileError(f"{reason}; use the same times for all drones, or fewer points")
         breaks, size = merged_breaks(times), max(1, WINDOW // len(curves))
 

@@ -612,7 +612,7 @@ def _start_findings(
         if not _is_point(point):
             yield error("start", name, f"is not in {fleet}; add its initial_position")
         elif (distance := math.dist(point[:2], start)) > START_TOLERANCE:
-            reason = f"{fleet} places it {distance:.3g} m from below its first position, "
+            reason = f"{fleet} places it {distance:.3g} m off the point below its first position, "
             yield error("start", name, f"{reason}{start[0]:.4g}, {start[1]:.4g}; correct it")
 
 

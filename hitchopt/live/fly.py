@@ -224,7 +224,7 @@ class CommandedPlan:
         if not table.pending:
             raise refusal
         seconds, self._waiting = self._player.pause(), command
-        return f"{command}: {ahead_planned(table)}; at rest in {seconds:.2f} s until one is"
+        return f"{command}: {ahead_planned(table)}; stops within {seconds:.2f} s and waits for one"
 
 
 def ahead_planned(table: AbortTable) -> str:

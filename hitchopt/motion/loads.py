@@ -452,7 +452,7 @@ class RimDistances(NamedTuple):
 def _distances_to_rim(body: SolidObject, vertices: Array) -> RimDistances:
     """Return the distances of a polygon (…, n, 2) [m] in an object's frame."""
     if body.rim is None:
-        raise InputError("rim", None, "given", "rest objects with a rim on clasps")
+        raise InputError("rim", None, "given", "add a rim, or grasp it by: grip")
     reach = body.rim.section.reach
     next_vertices = np.roll(vertices, -1, axis=-2)
     edges = next_vertices - vertices

@@ -87,9 +87,9 @@ def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) ->
 def settling_plan(
     task: StepTask, duration: float | None, phase: Phase, start: Hitch | None = None
 ) -> StepPlan:
-    """Return the plan in which vertices over-travel, and end where they are.
+    """Return the plan in which vertices over-travel and return to their goals.
 
-    They over-travel along their ways from the hitch ``start``, or inward and outward without one.
+    They over-travel along their paths from the hitch ``start``, or inward and outward without one.
     Where limits bind they over-travel less, or not at all; the remark names the vertex that may
     rest farthest off. Raises InfeasibleError if that is farther than ``limits.vertex_error``, or if
     limits bind within a prescribed ``duration`` [s].

@@ -67,7 +67,7 @@ class RestState:
 
     @property
     def assumed_senses(self) -> Array:
-        """Turning senses (clasps,) of the pairs; an initial hitch has ones."""
+        """Turning senses (clasps,) of the pairs; ones for an initial hitch."""
         return np.ones(len(self.team.layout.clasps)) if self.senses is None else self.senses
 
     def with_objects(self, requirements: Requirements) -> Requirements:

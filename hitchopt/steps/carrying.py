@@ -148,7 +148,7 @@ class Enclose(Step):
             raise InfeasibleError([violation])
         radius = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         size = f"{rounded_up(radius, 2):.2g} m in radius"
-        remedy = f"tie the hitch at its size around objects.{self.object} ({size})"
+        remedy = f"tie the hitch as large as it is around objects.{self.object} ({size})"
         check_opens(hitch, polygon.vertices, requirements, remedy)
         above = self._above(task, polygon, altitude)
         parts = [above.motion]
@@ -496,7 +496,7 @@ class TransportObject(TensionStep):
 
     object: ObjectOf
     to: Place
-    by: Annotated[HoldMethod | None, Key(BY, f"{BY_TEXT}; without it rest if it has a rim")] = None
+    by: Annotated[HoldMethod | None, Key(BY, f"{BY_TEXT}; default: rest if it has a rim")] = None
     tension: HoldTension = None
     yaw: Yaw = 0.0
     lift: Annotated[float, Key(LENGTH, "Height above the higher of start and goal")] = 0.3

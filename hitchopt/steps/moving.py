@@ -115,7 +115,7 @@ class Hold(HitchStep):
 class Settle(Step):
     """Remove friction hysteresis at the clasps.
 
-    Vertices over-travel inward and outward, each time a little less far, and end where they are.
+    Vertices over-travel inward and outward, each time less far, and return to where they were.
     """
 
     time_key: ClassVar[str] = "seconds"

@@ -473,7 +473,7 @@ def table_faults(
         moved = {p.names[rows.drone[x]]: float(np.max(ways[j == x])) for x in own}
         yield 0.0, told.keys() != moved.keys(), f"{name}: other drones move"
         short = [x for x in moved if told.get(x, 0.0) < moved[x] - STATED_TOL]
-        yield 0.0, bool(short), f"{name}: ways are longer"
+        yield 0.0, bool(short), f"{name}: paths are longer"
         least = least_seconds(p, rows, on, lost)
         excused = bool(stated["after_loss"].get("phases"))
         seconds = row.get("seconds", math.inf if excused else 0.0)

@@ -580,7 +580,7 @@ def check_members(names: Sequence[str]) -> None:
         if not re.fullmatch(rf"({words})*\w+\.npy", name):
             raise ValueError(f"{name!r:.60} is not the name of an array")
         if fold(name) in seen:
-            raise ValueError(f"an array occurs twice, or is easily taken for {name!r:.60}")
+            raise ValueError(f"an array occurs twice, or is easily confused with {name!r:.60}")
         seen.add(fold(name))
 
 

@@ -280,7 +280,7 @@ def test_long_plans_are_cut_at_rests(parts: tuple[Export, ...], tmp_path: Path) 
 def test_stacked_starts_are_reported(tmp_path: Path) -> None:
     motion = ho.solve(problem_from_dict(reversed_stack(3))).motion
     (part,) = exported(motion, "crazyswarm2", tmp_path)
-    assert any("would take off from one position" in note for note in part.notes)
+    assert any("would take off from the same position" in note for note in part.notes)
 
 
 class Craft:

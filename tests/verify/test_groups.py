@@ -391,7 +391,7 @@ def test_check_looks_up_what_flies_besides(tmp_path: Path) -> None:
         code, words = checked(replace(flight, others=(other, *pair)))
         assert code == 3
         assert "show (show): " in words
-        assert "is another plan" in words
+        assert "is a different plan" in words
     shutil.rmtree(tmp_path / "pair")
     code, words = checked(flight)
     assert code == 3

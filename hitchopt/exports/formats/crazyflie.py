@@ -411,7 +411,7 @@ def _stacked(task: ExportTask, points: Array, action: str) -> Iterator[str]:
         if np.any(near):
             other = task.names[i + 1 + int(np.argmax(near))]
             pair = f"{task.names[i]} and {other}, perhaps others too,"
-            yield f"{pair} would {action} one position: move them one by one, not with fly.py"
+            yield f"{pair} would {action} the same position: move them one by one, not with fly.py"
             return
 
 

@@ -63,11 +63,11 @@ def check_hinge(planner: MovePlanner) -> None:
     if needed > highest:
         error = _height_error(planner.requirements)
         largest_error = highest - centre - MIN_HINGE
-        allowed = "this object is too low"
+        allowed = "it is too low for two clasps"
         if largest_error > 0.0:
-            allowed = f"this object allows {largest_error:.3g} m"
+            allowed = f"it allows errors of {largest_error:.3g} m"
         remedy = (
-            f"two clasps can be at most {highest:.3g} m above its base, where it tips over if "
+            f"even clasps at {highest:.3g} m above its base, the highest place, let it tip over if "
             f"drones may be off by {error:.3g} m in height; {allowed}"
         )
     where = (planner.state.object,)

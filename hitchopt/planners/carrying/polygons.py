@@ -685,7 +685,7 @@ def rest_polygons(
     """
     if body.rim is None:
         raise RequestError(
-            f"objects.{name}.rim", None, "given", "rest objects with a rim on clasps"
+            f"objects.{name}.rim", None, "given", "add a rim, or grasp it by: grip"
         )
     rim = body.rim.section
     centre = body.centre_of_mass[:2]

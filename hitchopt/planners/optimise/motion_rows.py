@@ -157,11 +157,11 @@ class ChosenRows:
         return cls(ratios.drones > share, ratios.vertices > share)
 
     def without(self, others: ChosenRows) -> ChosenRows:
-        """Return those that are not among others."""
+        """Return the chosen rows without the others."""
         return ChosenRows(self.drones & ~others.drones, self.vertices & ~others.vertices)
 
     def plus(self, others: ChosenRows) -> ChosenRows:
-        """Return those and others."""
+        """Return the chosen rows and the others."""
         return ChosenRows(self.drones | others.drones, self.vertices | others.vertices)
 
     @property
