@@ -122,7 +122,17 @@ class Missing:
         return "(missing)"
 
 
-UNKNOWN_KEY = "a known key"
+class Circumstance(str):
+    """What is wrong, in words, where no value is: ``there is no hitch at that point``.
+
+    Messages state it in place of a value and its bound.
+    """
+
+
+KNOWN = "a known "
+"""Beginning of the bound of a word that must exist; messages call others unknown."""
+
+UNKNOWN_KEY = f"{KNOWN}key"
 """The bound of a key that does not exist."""
 
 YAML_LITERALS = {"None": "null", "True": "true", "False": "false"}
@@ -149,8 +159,10 @@ class InputError(HitchoptError, ValueError):
         if place is not None and not isinstance(value, str):
             text = re.sub(r"\b(None|True|False)\b", lambda word: YAML_LITERALS[word[0]], text)
         summary = f"missing {key}" if isinstance(value, Missing) else f"{key} = {text}"
-        if bound == UNKNOWN_KEY:
-            summary = f"{summary}: unknown key"
+        if isinstance(value, Circumstance):
+            summary = f"{key}: {value}"
+        elif bound.startswith(KNOWN):
+            summary = f"{summary}: unknown {bound.removeprefix(KNOWN)}"
         elif bound != "given" or not isinstance(value, Missing):
             summary = f"{summary}: must be {bound}"
         super().__init__(f"{prefix}{summary}; {remedy}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.api import step_errors, step_problem
-from hitchopt.errors import InputError, time_limit
+from hitchopt.errors import Circumstance, InputError, time_limit
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
@@ -149,8 +149,10 @@ def _untimed(path: Path) -> InputError:
     moves = np.max(length(np.diff(path.drones(s), axis=0)), axis=1)
     resting = np.flatnonzero(moves < MIN_MOVE)
     if not resting.size:
-        return InputError("path", "without a timing", "smooth", "make it smoother or split it")
+        return InputError(
+            "path", Circumstance("no timing exists"), "smooth", "make it smoother or split it"
+        )
     after = np.flatnonzero(np.diff(resting) > 1)
     last = resting[after[0]] if after.size else resting[-1]
-    found = f"at rest from s = {s[resting[0]]:.3g} to {s[last + 1]:.3g}"
+    found = Circumstance(f"rests from s = {s[resting[0]]:.3g} to {s[last + 1]:.3g}")
     return InputError("path", found, "moving everywhere", "split it there, and hold between")

@@ -135,7 +135,10 @@ def report_usage(error: click.UsageError) -> None:
 
 
 def report_error(error: HitchoptError) -> None:
-    """Write every line of the error's message to stderr, and record the error as a result."""
+    """Write every line of the error's message to stderr, and record the error as a result.
+
+    Lines on attempts are notes, unless nothing else says what is wrong.
+    """
     names = options()
     if isinstance(error, InputError) and error.place is None and error.key in names:
         name, value = names[error.key], error.value
@@ -145,8 +148,12 @@ def report_error(error: HitchoptError) -> None:
             value = Missing()
         error = InputError(name, value, error.bound, error.remedy)
     record(errors=_entries(error))
-    for line in str(error).splitlines() or [type(error).__name__]:
-        say(f"error: {line}", err=True)
+    has_notes = isinstance(error, InfeasibleError) and error.violations
+    notes = error.note.splitlines() if has_notes else []
+    lines = str(error).splitlines() or [type(error).__name__]
+    for index, line in enumerate(lines):
+        kind = "note" if index >= len(lines) - len(notes) else "error"
+        say(f"{kind}: {line}", err=True)
 
 
 def _entries(error: HitchoptError) -> list[dict[str, Any]]:

@@ -510,7 +510,9 @@ def _outlet_of(
         addresses = [("127.0.0.1", PORT[over] + i) for i in range(len(names))]
     if len(addresses) not in (1, len(names)):
         bound = f"given once, or {len(names)} times"
-        raise InputError("targets", len(addresses), bound, "name one for all drones, or one for each")
+        raise InputError(
+            "targets", len(addresses), bound, "name one for all drones, or one for each"
+        )
     addresses *= len(names) // len(addresses)
     outlet: Outlet = kind(names, addresses, frame, own_address)
     return outlet

@@ -20,7 +20,7 @@ from hitchopt.drones.controllers import (
     Tube,
     stiffest_gains,
 )
-from hitchopt.errors import InputError, OneLine
+from hitchopt.errors import Circumstance, InputError, OneLine
 from hitchopt.values import (
     MAPPING,
     bounded_points,
@@ -195,7 +195,7 @@ class Quadrotor(OneLine):
         str | None,
         Key(
             words(*CONTROLLERS),
-            "Flight controller, from which these three follow; null: these numbers apply",
+            "Flight controller, which determines stiffness, integral and feed_forward; null: none",
         ),
     ] = None
     gains: Annotated[
@@ -380,8 +380,9 @@ def kinds_of(
         kind = kind if "" in kind else _by_drone("quadrotor", kind)
     if isinstance(kind, Mapping):
         for name in sorted(kind.keys() - {"", *names}):
-            known = ", ".join([*names[:4], *(["…"] if len(names) > 4 else [])])
-            raise InputError(f"quadrotor.{name}", kind[name], f"of {known}", "name a drone")
+            known = ", ".join([*names[:2], "…", *names[-2:]] if len(names) > 4 else names)
+            unknown = Circumstance("the team has no such drone")
+            raise InputError(f"quadrotor.{name}", unknown, "a drone's name", f"use one of {known}")
         kind = [kind.get(name, kind[""]) for name in names]
     is_common = isinstance(kind, QuadrotorOrName)
     stated = (kind,) * count if is_common else sequence("quadrotor", kind)

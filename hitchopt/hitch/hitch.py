@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError, InputError, Violation, short
+from hitchopt.errors import Circumstance, InfeasibleError, InputError, Violation, short
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch.forces import (
     cable_forces,
@@ -57,19 +57,19 @@ def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:
         raise InputError("polygon", polygon.vertices.tolist(), bound, remedy)
     if len(polygon) != points:
         count = "one per robot" if closed else "one more than robots"
-        bound = f"a list of {points} points, {count}"
-        remedy = count_remedy(len(polygon), points, team.robots)
-        raise InputError("polygon", counted(len(polygon), "point"), bound, remedy)
+        raise count_error("polygon", len(polygon), points, count)
     return polygon
 
 
-def count_remedy(given: int, needed: int, robots: int) -> str:
-    """Return what to do about a number of points that does not fit the robots."""
-    excess = abs(given - needed)
-    amount = {1: "one", 2: "two", 3: "three"}.get(excess, str(excess))
-    many, change = ("many", "remove") if given > needed else ("few", "add")
-    counts = f"{given} points for {robots} robots, {amount} too {many}"
-    return f"{counts}: {change} points, or change team.robots"
+def count_error(key: str, given: int, needed: int, count: str) -> InputError:
+    """Return the error of a number of points that does not fit a team's robots.
+
+    ``count`` says what the needed number is, such as one per robot.
+    """
+    bound = f"{counted(needed, 'point')}, {count}"
+    counts = Circumstance(f"{counted(given, 'point')}, not {needed}, {count}")
+    change = "remove" if given > needed else "add"
+    return InputError(key, counts, bound, f"{change} points, or change team.robots")
 
 
 def cable_slack(team: Team, polygon: Outline) -> Array:

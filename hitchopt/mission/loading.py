@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import UNKNOWN_KEY, FileError, InputError, JointInputError, joint_error
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.mission.objects import with_outlines
 from hitchopt.mission.others import NAME
@@ -19,13 +22,14 @@ from hitchopt.mission.problem import (
     SWARM_TEAM,
     TEAMS,
     Problem,
+    SwarmTeam,
     check_team_names,
 )
 from hitchopt.objects import SolidObject
 from hitchopt.steps.flying import SWARM_PLACES, Fly
 from hitchopt.steps.step import TRIANGLE
 from hitchopt.storage.yaml_file import located, parse_yaml, plain, read_text, value_at
-from hitchopt.values import MAPPING, form_error, form_of
+from hitchopt.values import MAPPING, SYNONYMS, form_error, form_of
 from hitchopt.values.fields import (
     Key,
     Kind,
@@ -176,6 +180,50 @@ def _start_time(key: str, value: Any) -> dict[str, float]:
 START_TIMES = dict_of(Kind((MAPPING,), _start_time, {}), NAME)
 
 
+@contextmanager
+def _misplaced_keys(form: Mapping[str, Key]) -> Iterator[None]:
+    """State where unknown keys belong that are keys of another section."""
+    try:
+        yield
+    except InputError as error:
+        errors = error.errors if isinstance(error, JointInputError) else (error,)
+        raise joint_error([_with_home(each, form) for each in errors]) from None
+
+
+def _with_home(error: InputError, form: Mapping[str, Key]) -> InputError:
+    """Return an error of an unknown key with the place of this key in files as its remedy."""
+    name = error.key.rpartition(".")[2]
+    suggested = re.fullmatch(r"did you mean (\w+)\?", error.remedy)
+    is_synonym = suggested and name in SYNONYMS.get(suggested[1], "").split()
+    if error.bound != UNKNOWN_KEY or is_synonym:
+        return error
+    if name in form:
+        remedy = f"write {name} at the top level of the file"
+    elif home := _home_of(name, error.key, form):
+        remedy = f"write it as {home}.{name}"
+    else:
+        return error
+    return InputError(error.key, error.value, error.bound, remedy, error.place)
+
+
+def _home_of(name: str, key: str, form: Mapping[str, Key]) -> str:
+    """Return the section of a file that has a key of this name; an empty text without one.
+
+    ``key`` is its path, of which several teams have one each.
+    """
+    own = re.match(r"teams\.[^.]+", key)
+    team = own[0] if own else "team"
+    is_swarm = form is SWARM_FORM
+    sections = {
+        "limits": keys_of(Limits).keys() - (HITCH_LIMITS if is_swarm else ()),
+        "separation": keys_of(Separation).keys() - (HITCH_SEPARATION if is_swarm else ()),
+        team: keys_of(SwarmTeam if is_swarm else Team).keys() if own or team in form else (),
+        f"{team}.quadrotor": keys_of(Quadrotor).keys() if own or team in form else (),
+    }
+    field = name.removesuffix("_deg")
+    return next((place for place, fields in sections.items() if field in fields), "")
+
+
 @suggest_keywords
 def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Problem:
     """Return the problem that ``data`` describes with the keys of a problem file in ``folder``."""
@@ -204,7 +252,8 @@ def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Prob
         robots = value_at(values, ("team", "robots"))
         places = f"drones: {{q: [[x, y, z], …], r: [[x, y, z], …]}}}}, {robots} points each"
         remedies = remedies | {"start": f"add start: {{{places}"}
-    arguments = arguments_from(form, "", values, remedies=remedies)
+    with _misplaced_keys(form):
+        arguments = arguments_from(form, "", values, remedies=remedies)
     if form is TEAMS_FORM:
         arguments["team"] = arguments.pop("teams")
     if form is SWARM_FORM:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import Circumstance, FileError, InputError
 from hitchopt.geometry.drawings import read_drawing
 from hitchopt.hitch.requirements import MAX_CORNERS
 from hitchopt.objects import Rim, Section, SolidObject
@@ -44,7 +44,11 @@ class SectionKeys:
         specified = [name for name in names if getattr(self, name) is not None]
         if len(specified) != 1:
             bound = f"a mapping with exactly one of {', '.join(names)}"
-            raise InputError("", specified, bound, "write circle: 0.2, for example")
+            if specified:
+                found = Circumstance(f"has {' and '.join(specified)}")
+                raise InputError("", found, bound, "keep one of them")
+            found = Circumstance(f"has none of {', '.join(names)}")
+            raise InputError("", found, bound, "write circle: 0.2, for example")
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,11 @@ import numpy as np
 
 from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.registry import NAMES
-from hitchopt.drones.quadrotor import Quadrotor, quadrotors
-from hitchopt.errors import InputError, Missing, UnitWarning
+from hitchopt.drones.quadrotor import quadrotors
+from hitchopt.errors import Circumstance, InputError, Missing, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
-from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_remedy
+from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_error
 from hitchopt.hitch.requirements import (
     Arena,
     Limits,
@@ -52,7 +52,6 @@ from hitchopt.values import (
     Points,
     check_instance,
     closest_word,
-    counted,
     sequence,
     text,
 )
@@ -66,7 +65,6 @@ from hitchopt.values.fields import (
     either,
     integers,
     join_key,
-    keys_of,
     list_of,
     mapping_of,
     one_or_each,
@@ -92,14 +90,15 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
         try:
             if unresolved.of_single_drones is whole.has_cables:
                 kind, *_, bound, _ = _words(whole)
-                remedy = f"{mission.name or 'this'} is {kind}"
-                raise InputError("", "a step", bound, remedy)
+                other = Circumstance(f"{mission.name or 'this'} is {kind}")
+                raise InputError("", other, bound, f"use {bound}")
             is_two = whole.layout.closed and whole.robots == 2
             if is_two and not unresolved.of_two_robots:
                 names = ", ".join(kind.name for kind in STEPS if kind.of_two_robots)
                 bound = f"one of {names}, the steps of two robots"
-                remedy = "two cables can only hold an object: tie them around it"
-                raise InputError("", "a step of three robots or more", bound, remedy)
+                other = Circumstance("it takes three robots or more")
+                remedy = f"two cables can only hold an object: use {bound}"
+                raise InputError("", other, bound, remedy)
             step = unresolved.resolved_for(whole)
             stage = stage.after(step, objects)
             before, outline = outline, step.checked_polygon_after(whole, outline, reason)
@@ -121,7 +120,7 @@ def _words(team: Team) -> tuple[str, str, str, str, str]:
         return kind, "a hitch, or drones q and r", start, f"a step of {kind}", "hold: {seconds: 1}"
     start = "a list of positions [x, y, z], one per drone"
     step = "fly, the only step of single drones"
-    return "single drones", start, "[[x, y, z], …]", step, "fly: {goal: …}"
+    return "a team of single drones", start, "[[x, y, z], …]", step, "fly: {goal: …}"
 
 
 @dataclass(frozen=True)
@@ -150,14 +149,16 @@ class _ObjectStage:
             if Stage.OPEN in (self.stage, begin):
                 remedy, tied = "open_vertex, then hold or close_vertex", "no open vertex"
                 current, required = (x.replace(Stage.FREE, tied) for x in (current, required))
-            raise InputError("", current, f"{required}, which {step.name} needs", remedy)
+            found = Circumstance(f"{step.name} needs {required}, and there is {current}")
+            raise InputError("", found, f"{required}", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError(
                 "object", name, f"{self.name}, the one enclosed", "leave that one first"
             )
         if not self.outline_specified and step.moves_points:
             bound = "an outline that the problem states"
-            raise InputError("", "the outline around an object", bound, "morph first")
+            unstated = Circumstance("the problem does not state the outline around the object")
+            raise InputError("", unstated, bound, "morph first")
         specified = getattr(step, "polygon", None) is not None
         specified |= self.outline_specified and not hasattr(step, "object")
         return _ObjectStage(end, "" if end is Stage.FREE else name, specified)
@@ -328,7 +329,8 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
         raise InputError(key, 2, "at least 3 if the start is a hitch", remedy)
     if isinstance(start, Hitch):
         if start.team is not team:
-            raise InputError("start", "a hitch", "a hitch of the problem's team", "use its team")
+            other = Circumstance("the hitch is of another team")
+            raise InputError("start", other, "a hitch of the problem's team", "use its team")
         return start
     if isinstance(start, HitchStart):
         try:
@@ -338,9 +340,7 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
         return replace(start, polygon=outline, legs=legs)
     for drones, places in vars(start).items():
         if len(places) != team.robots:
-            key, bound = f"start.drones.{drones}", f"a list of {team.robots} points"
-            remedy = count_remedy(len(places), team.robots, team.robots)
-            raise InputError(key, counted(len(places), "point"), bound, remedy)
+            raise count_error(f"start.drones.{drones}", len(places), team.robots, "one per robot")
     distances = np.linalg.norm(start.q - start.r, axis=1)
     k = int(np.argmax(distances / team.cable_length))
     if distances[k] > UNIT_ERROR_RATIO * team.cable_length[k]:
@@ -396,17 +396,11 @@ def check_team_names(teams: Any, start: Any, mission: Any) -> None:
                 remedy = closest_word(name, names)
                 if name in (*STEP_KINDS, Fly.name):
                     remedy = f"write {names[0]}: {{{name}: …}}"
-                value = "a start" if path == "start" else "a step"
-                raise InputError(join_key(path, name), value, "under the name of a team", remedy)
+                outside = Circumstance("not under the name of a team")
+                raise InputError(join_key(path, name), outside, "under a team's name", remedy)
 
 
-OF_QUADROTORS = {
-    name: f"it belongs to the drones: write quadrotor: {{model: NAME, {name}: …}}"
-    for name in keys_of(Quadrotor).keys() - keys_of(Team).keys()
-}
-"""Remedies for keys of drones that are written into the team."""
-
-TEAM = mapping_of(Team, remedies=OF_QUADROTORS)
+TEAM = mapping_of(Team)
 TEAMS = dict_of(by_key({"robots": TEAM, "drones": SWARM_TEAM}), NAME, MAX_TEAMS)
 STARTS = dict_of(either(START, SWARM_PLACES), NAME, MAX_TEAMS)
 ITEMS = list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_TEAMS), 1, MAX_STEPS)

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.errors import Circumstance, InfeasibleError, InputError, Violation
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits
 from hitchopt.hitch.team import MAX_DRONES
@@ -23,8 +23,9 @@ SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 def check_count(key: str, places: Array, team: Team) -> None:
     """Raise InputError unless there is one position per drone."""
     if len(places) != team.drones:
-        bound = f"{counted(team.drones, 'point')}, one per drone"
-        raise InputError(key, counted(len(places), "point"), bound, "change team.drones, or these")
+        needed = counted(team.drones, "point")
+        counts = Circumstance(f"{counted(len(places), 'point')}, not {needed}, one per drone")
+        raise InputError(key, counts, needed, "change team.drones, or these")
 
 
 @documented

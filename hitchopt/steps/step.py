@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 import numpy as np
 
 from hitchopt.checks.registry import RULES
-from hitchopt.errors import InputError, OneLine, UnitWarning
+from hitchopt.errors import Circumstance, InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
@@ -351,10 +351,12 @@ class Step(Record, ABC):
         """
         if self.needs_hitch is True and outline is None:
             bound = "given a hitch at that point"
-            raise InputError("", "no hitch", bound, f"{reason}: form one first")
+            missing = Circumstance("there is no hitch at that point")
+            raise InputError("", missing, bound, f"{reason}: form one first")
         if self.needs_hitch is False and outline is not None:
             bound = "given drones on free cables at that point"
-            raise InputError("", "a hitch", bound, f"{reason}: release it first")
+            tied = Circumstance("there is a hitch at that point")
+            raise InputError("", tied, bound, f"{reason}: release it first")
         return self.polygon_after(team, outline)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:

@@ -25,7 +25,7 @@ from typing import Any, cast
 import numpy as np
 from ruamel.yaml import YAML, events
 
-from hitchopt.errors import FileError, InputError, Place
+from hitchopt.errors import Circumstance, FileError, InputError, Place
 from hitchopt.storage.files import opened
 from hitchopt.values.fields import join_key
 
@@ -261,7 +261,8 @@ class _Reader:
             raise self._error(f"a key must have at most {MAX_TEXT} characters; shorten it")
         if key in node.children:
             remedy = "remove one of the two"
-            raise InputError(key_path([*path, key]), "(twice)", "given once", remedy)
+            twice = Circumstance("given twice")
+            raise InputError(key_path([*path, key]), twice, "given once", remedy)
         return key
 
     def _scalar(self, event: Any) -> Plain:

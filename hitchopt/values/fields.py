@@ -27,8 +27,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import (
+    KNOWN,
     MAX_LISTED,
     UNKNOWN_KEY,
+    Circumstance,
     FileError,
     InputError,
     JointInputError,
@@ -304,6 +306,9 @@ def arguments_from(
         bound = f"a mapping of {', '.join([*fields_by_key][:MAX_LISTED])}"
         raise InputError(key or "problem", f"{len(unknown)} unknown keys", bound, "remove them")
     guesses = {name: closest_word(name, [*fields_by_key]) for name in unknown}
+    for name in unknown:
+        if ":" in name and data[name] is None:
+            guesses[name] = f"write a blank after the colon: {name.replace(':', ': ', 1)}"
     remedies = guesses | dict(remedies or {})
 
     def argument(name: str) -> tuple[str, Any]:
@@ -517,7 +522,8 @@ def points(
             raise InputError(key, value, bound, "make it longer")
         if count is None and max_length is not None and len(value) > max_length:
             bound = f"at most {max_length} points"
-            raise InputError(key, f"{len(value)} points", bound, "shorten it")
+            counts = Circumstance(f"{len(value)} points, more than {max_length}")
+            raise InputError(key, counts, bound, "shorten it")
         return [numbers(f"{key}[{i}]", each, shape[1:]) for i, each in enumerate(value)]
 
     def check(key: str, value: Any) -> Any:
@@ -587,18 +593,16 @@ def mapping_of(
     record: type[T],
     build: Callable[[T], Any] | None = None,
     exclude: Collection[str] = (),
-    remedies: Mapping[str, str] | None = None,
 ) -> Kind:
     """Return the kind of a record; in files it is a mapping of its keys.
 
-    ``build`` returns the value for a record that only holds keys; keys in ``exclude`` are unknown,
-    and ``remedies`` say where some unknown keys belong.
+    ``build`` returns the value for a record that only holds keys; keys in ``exclude`` are unknown.
     """
 
     def check(key: str, value: Any) -> Any:
         if isinstance(value, record):
             return value
-        arguments = arguments_from(keys_of(record), key, value, exclude, remedies)
+        arguments = arguments_from(keys_of(record), key, value, exclude)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UnitWarning)  # already issued for the keys
@@ -607,7 +611,8 @@ def mapping_of(
         except InputError as error:
             raise error.within(key) from None
         except FileError as error:
-            raise InputError(key, value, "of files that can be read", str(error)) from None
+            unread = Circumstance("a file cannot be read")
+            raise InputError(key, unread, "of files that can be read", str(error)) from None
 
     return Kind((MAPPING,), check, lambda definitions: record_schema(record, definitions, exclude))
 
@@ -694,7 +699,7 @@ def single_key(
             remedy = closest_word(kind, list(kinds))
             for each in kinds:
                 remedy = remedy.replace(f"mean {each}?", f"mean {example_of(each)}?")
-            raise InputError(join_key(key, kind), content, f"a known {noun}", remedy)
+            raise InputError(join_key(key, kind), content, f"{KNOWN}{noun}", remedy)
         if form_of(content) != MAPPING:
             raise InputError(join_key(key, kind), content, MAPPING, f"write {example_of(kind)}")
         return kinds[kind].check(join_key(key, kind), content)

@@ -101,7 +101,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (steps_of(LOW, ENCLOSED), "arena", r"at the end of step 0 \(enclose\)"),
     (steps_of(SMALL, ENCLOSED_DRUM), "equilibrium", r"objects\.drum \(0\.5\d? m in radius\)"),
     (steps_of(plans.tray(), {"lift": {"by": 0.2}}), "mission[0].lift",
-     "must be a grasped object, which lift needs"),
+     "lift needs a grasped object, and there is"),
     (steps_of(plans.tray(), ENCLOSED, LEFT, {"move_vertex": {"vertex": 0, "by": [0.1, 0]}}),
      "mission[2].move_vertex", "morph first"),
     (steps_of(plans.tray(), {"enclose": {"object": "table"}}), "objects.table.fixed",

@@ -57,13 +57,13 @@ REFUSED: list[Refusal] = [
     (lambda: Arena([0, 0, math.nan], [1, 1, 1]), "lower[2]", "finite"),
     (lambda: Assignment((0, 0), (False, False)), "assignment.robots", "must be 0 to 1"),
     (lambda: Assignment((0, 1), (False,)), "assignment.flipped", ""),
-    (lambda: balanced(robots=4), "polygon", "4 points"),
+    (lambda: balanced(robots=4), "polygon", "3 points, not 4, one per robot"),
     (
         lambda: balanced(**CHAIN, polygon=ConvexPolygon(HILL)),
         "polygon",
         "a ConvexArc, since the team",
     ),
-    (lambda: balanced(HILL, topology="open"), "polygon", "4 points, one more than robots"),
+    (lambda: balanced(HILL, topology="open"), "polygon", "3 points, not 4, one more than robots"),
     *[(lambda roll=roll: balanced(roll=roll), "roll", "") for roll in (1.6, math.nan, [0.1, 0.2])],
     (lambda: Hitch(Team(3, 2.4), TRIANGLE, 1.0, [0.4, 0.4]), "legs", "one per robot"),
     (lambda: Hitch(Team(3, 2.4), TRIANGLE, math.nan, [0.4] * 3), "altitude", "finite"),
@@ -158,8 +158,8 @@ def test_quadrotors_by_drone_have_common_keys_and_their_own() -> None:
 @pytest.mark.parametrize(
     ("kinds", "message"),
     [
-        ({"q3": {}}, r"quadrotor\.q3 .*name a drone"),
-        ({"d0": {}}, r"quadrotor\.d0 .*name a drone"),
+        ({"q3": {}}, r"quadrotor\.q3: .*no such drone"),
+        ({"d0": {}}, r"quadrotor\.d0: .*no such drone"),
         ({"q0": {"trm": [0, 0]}}, r"quadrotor\.q0\.trm.*did you mean trim"),
         ({"q0": {"trim": [0.1]}}, r"quadrotor\.q0\.trim"),
         ({"q0": {"trim": [30, 0]}}, r"quadrotor\.q0\.trim.*within ±2"),
@@ -185,5 +185,5 @@ def test_single_drones_are_named_in_the_singular() -> None:
     plan = ho.solve([[0.0, 0.0, 1.0]], ho.Fly([[1.0, 0.0, 1.0]]), team=Swarm(1))
     for words in map(repr, (plan, plan.flight, plan.motion)):
         assert "(1 drone, " in words
-    with pytest.raises(ho.InputError, match="'2 points': must be 1 point, one per drone"):
+    with pytest.raises(ho.InputError, match="goal: 2 points, not 1 point, one per drone; change"):
         ho.solve([[0.0, 0.0, 1.0]], ho.Fly([[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]), team=Swarm(1))

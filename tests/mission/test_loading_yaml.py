@@ -73,7 +73,7 @@ REFUSED: list[tuple[str, type[HitchoptError], str]] = [
     ("? [1, 2]\n: 3", FileError, "text:1:3: a key must be a word"),
     ("", FileError, "text: is empty; `hitchopt init` writes"),
     (f"? {'x' * 10_001}\n: 1", FileError, "a key must have at most 10000 characters"),
-    ("a:\n  - b: 1\n  - c: {d: 1, d: 2}\n", InputError, "text:3:15: a[1].c.d = '(twice)'"),
+    ("a:\n  - b: 1\n  - c: {d: 1, d: 2}\n", InputError, ":15: a[1].c.d: given twice; remove"),
     ("a: {b: {1.5: 2}}", InputError, "a.b = 1.5: must be a mapping whose keys are text"),
     ("? \n: 1", InputError, "problem = null"),
     ("[" * 21 + "1" + "]" * 21, InputError, "nested at most 20 levels deep"),

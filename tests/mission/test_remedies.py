@@ -237,7 +237,7 @@ PHRASES: dict[str, Editor | tuple[Editor, ...]] = {
     r"move the wall outward \(arena\.\w+\[\d\]\)": move_wall,
     "keep the hitch farther from it": leave_wall,
     "fly lower": fly(-1.0),
-    "fly higher above the floor": fly(1.0),
+    "(?:start or )?fly higher above the floor": fly(1.0),
     "place the drones farther apart": place(1.0, robots=True, drones=True),
     "place the robots farther apart": place(1.0, robots=True, drones=False),
     r"move q\d+ and r\d+ of start\.drones closer together": place(-1.0, robots=False, drones=True),

@@ -225,7 +225,7 @@ def test_paths_that_rest_are_not_timed() -> None:
 
     for vertices, end in ((waiting, "0.5"), (lambda _: TRIANGLE, "1")):
         path = ho.Path.of(ho.Team(3, 2.4), vertices)
-        with pytest.raises(ho.InputError, match=rf"path = 'at rest from s = 0 to {end}"):
+        with pytest.raises(ho.InputError, match=rf"path: rests from s = 0 to {end}"):
             ho.time(path)
 
 

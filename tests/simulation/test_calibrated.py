@@ -90,7 +90,7 @@ def test_plans_add_the_trims_that_they_know() -> None:
 
 
 def test_names_of_calibrated_drones_are_those_of_the_team(tmp_path: Path) -> None:
-    with pytest.raises(ho.InputError, match=r"as_calibrated\.quadrotor\.q9 .*name a drone"):
+    with pytest.raises(ho.InputError, match=r"as_calibrated\.quadrotor\.q9: .*no such drone"):
         calibrated_kinds(task().team, {"q9": {"trim": [0, 0]}})
     text = "quadrotor: {q0: {trim: [0.1, 0.0], thrust_factor: 1.1}, r1: {trim: [-0.03, 0.08]}}\n"
     for prefix in ("", "team: {robots: 3, cable_length: 2, "):

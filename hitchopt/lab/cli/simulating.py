@@ -512,8 +512,8 @@ def _inexact(settings: Settings) -> list[str]:
     preset = settings.preset
     line = (
         f"preset {preset.name}: links of {1e3 * preset.segment:g} mm catch at clasps and move "
-        f"vertices by 1 to 2 cm; to measure vertices, use --cables {CLASPS}, or --preset {ACCURATE.name} "
-        f"({1e3 * ACCURATE.segment:g} mm)"
+        f"vertices by 1 to 2 cm; to measure vertices, use --cables {CLASPS}, or --preset "
+        f"{ACCURATE.name} ({1e3 * ACCURATE.segment:g} mm)"
     )
     return [] if settings.measures_vertices else [line]
 

@@ -684,9 +684,7 @@ def rest_polygons(
     InputError: no rim.
     """
     if body.rim is None:
-        raise RequestError(
-            f"objects.{name}.rim", None, "given", "add a rim, or grasp it by: grip"
-        )
+        raise RequestError(f"objects.{name}.rim", None, "given", "add a rim, or grasp it by: grip")
     rim = body.rim.section
     centre = body.centre_of_mass[:2]
     candidates = RestCandidates.of(body, rim, robots)
