@@ -51,6 +51,11 @@ def tied_plan() -> ho.Plan:
     return ho.form(team, q, q + [1.2, 0.0, 0.0], triangle, altitude=1.5)
 
 
+def place_of_q0() -> int:
+    """Return where q0 is along the hitch, which is the order of drawn drones."""
+    return tied_plan().motion.team.drone_names.index("q0")
+
+
 def projected(point: Any, eye: Any, target: Any, view: float, size: tuple[float, float]) -> Array:
     """Return where a camera sees a point (3,), (2,) [pixels] from the upper left corner.
 
@@ -182,7 +187,8 @@ class TestReport:
             "[place.clientWidth, place.clientHeight]])(hitchopt.stage)"
         )
         expected = projected(tied_plan().at(time).positions[0], *seen_by)
-        mark = "hitchopt.stage.mark({drones: [0], cables: [], vertices: []})"
+        marked = f"{{drones: [{place_of_q0()}], cables: [], vertices: []}}"
+        mark = f"hitchopt.stage.mark({marked})"
         # Marked drones are named: what is compared is the scene alone.
         report.add_style_tag(content="#labels, #switches { display: none }")
         stage = report.locator("#stage")
@@ -292,7 +298,7 @@ class TestLiveView:
         box = page.locator("canvas").first.bounding_box()
 
         def mark() -> None:
-            live.live.highlight(Highlight(drones=(0,)))
+            live.live.highlight(Highlight(drones=(place_of_q0(),)))
             settled(page)
 
         seen = changed_place(lambda: page.screenshot(clip=box), mark)
@@ -322,6 +328,8 @@ class TestLiveView:
             page.get_by_role("button", name=f"✓ {name}:").click()
             waited(page, lambda check=check: abs(live.time - check.time) < 1e-3)  # type: ignore[misc]
             page.get_by_text(f"{name}: {', '.join(check.where)} at {check.time:.2f} s").wait_for()
+        page.get_by_role("button", name="no highlight").click()
+        waited(page, lambda: not live.shown_check.visible)
 
     def test_a_live_view_plays_and_an_old_plan_is_pale(self, page: Any, live: LiveView) -> None:
         live.seek(0.0)
