@@ -179,7 +179,7 @@ def vertex_changes(problem: Problem, violations: Sequence[Violation]) -> Iterato
     vertices = [(int(k) + offset) % robots for kind, k in bodies for offset in ends[kind]]
     vertices += [(k + offset) % robots for k in cables for offset in (0, 1)]
     for i, step in enumerate(problem.mission):
-        outline: Outline | None = vars(step).get("polygon")
+        outline = step.goal_outline
         if outline is None or not isinstance(step, ShapeStep):
             continue
         for shift in VERTEX_SHIFTS:

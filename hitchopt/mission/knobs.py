@@ -14,7 +14,7 @@ from hitchopt.checks.registry import RULE_OF_KEY, distances_of
 from hitchopt.errors import Violation
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Limits
-from hitchopt.mission.changes import constraint_name, in_step, quadrotor_keys
+from hitchopt.mission.changes import constraint_name, in_step, quadrotor_keys, step_of
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.steps.step import (
     DECIMALS,
@@ -98,7 +98,7 @@ def _step_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     """Yield the knobs of all steps."""
     names = _names(violations)
     for i, step in enumerate(problem.mission):
-        slowdown = _min_size((v for v in violations if f"step {i} " in v.when), "duration")
+        slowdown = _min_size((v for v in violations if step_of(v) == i), "duration")
         for knob in step.knobs():
 
             def make_edits(new: float, i: int = i, knob: Knob = knob) -> Edits:
@@ -178,7 +178,7 @@ def two_cable_tension(problem: Problem) -> float:
 
     It is that of docs/how_to/carry.md, with which objects hang safely in simulation.
     """
-    handled = {vars(step).get("object", vars(step).get("around")) for step in problem.mission}
+    handled = {step.object_name for step in problem.mission}
     bodies = [body for name, body in problem.objects.items() if name in handled and not body.fixed]
     if problem.team.robots != 2:
         return 0.0

@@ -133,7 +133,7 @@ class _ObjectStage:
 
     def after(self, step: Step, objects: Mapping[str, SolidObject]) -> _ObjectStage:
         """Return the stage after a step; raise InputError if the step is not allowed."""
-        name = text("object", getattr(step, "object", self.name))
+        name = text("object", self.name if step.object_name is None else step.object_name)
         if name and name not in objects:
             bound = f"one of objects: {', '.join(objects) or 'there are none'}"
             remedy = closest_word(name, [*objects], "add it to objects")
@@ -159,8 +159,8 @@ class _ObjectStage:
             bound = "an outline that the problem states"
             unstated = Circumstance("the problem does not state the outline around the object")
             raise InputError("", unstated, bound, "morph first")
-        specified = getattr(step, "polygon", None) is not None
-        specified |= self.outline_specified and not hasattr(step, "object")
+        specified = step.goal_outline is not None
+        specified |= self.outline_specified and step.object_name is None
         return _ObjectStage(end, "" if end is Stage.FREE else name, specified)
 
 
@@ -587,7 +587,7 @@ class Problem(ByValue):
         owners = dict[str, str]()
         for name in self.team:
             for key, step, _ in self._steps(name):
-                body = getattr(step, "object", None)
+                body = step.object_name
                 if body is not None and owners.setdefault(body, name) != name:
                     bound = f"an object that {owners[body]} does not name"
                     remedy = "let one team carry it"

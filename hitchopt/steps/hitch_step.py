@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -55,9 +54,6 @@ class NonstopStep(HitchStep):
 class ShapeStep(NonstopStep):
     """A step that changes vertices and legs without prescribed times on the path."""
 
-    searches_faster_routes: ClassVar[bool] = False
-    """True if routes that take much longer than the lower bound are replaced."""
-
     legs: Legs | None
 
     @abstractmethod
@@ -81,19 +77,12 @@ class ShapeStep(NonstopStep):
 
     def fly_to_end(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
-        end = self.end(task)
-        tension: tuple[float, float] | None = getattr(self, "tension", None)
-        search = RouteSearch(
-            task,
-            end.hitch,
-            replace(self.phase(task), tension=tension),
-            own=partial(self.direct_plan, task, end),
-            duration=self.prescribed_duration,
-            replaces_slow=self.searches_faster_routes,
-            allow_slides=bool(getattr(self, "optimize", False)),
-            cost=getattr(self, "cost", None),
-        )
-        return search.plan()
+        return self.search(task, self.end(task)).plan()
+
+    def search(self, task: StepTask, end: End) -> RouteSearch:
+        """Return the search of a route to the end, with the options that the step states."""
+        direct = partial(self.direct_plan, task, end)
+        return RouteSearch(task, end.hitch, self.phase(task), direct, self.prescribed_duration)
 
 
 class ActionStep(ShapeStep):

@@ -22,7 +22,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.candidates import Candidate
 from hitchopt.planners.ends import End, end_of_morph
 from hitchopt.planners.rests import hover_motion, rest_motion
-from hitchopt.planners.routes import plan_like, rigid_plan, straight_plan
+from hitchopt.planners.routes import RouteSearch, plan_like, rigid_plan, straight_plan
 from hitchopt.planners.settling import settling_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.hitch_step import ActionStep, HitchStep, NonstopStep, ShapeStep
@@ -51,7 +51,7 @@ from hitchopt.steps.step import (
     scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, Points, as_array, bounded_points, plain
+from hitchopt.values import Array, Points, as_array, bounded_points, known, plain
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -169,7 +169,6 @@ OPTIMIZE_TEXT = (
 class Morph(ShapeStep):
     """Change the polygon: every vertex moves to its goal."""
 
-    searches_faster_routes: ClassVar[bool] = True
     polygon: Polygon
     legs: LegsAtEnd = None
     duration: Seconds = None
@@ -185,8 +184,7 @@ class Morph(ShapeStep):
     @property
     def outline(self) -> Outline:
         """The polygon of the resolved step."""
-        outline: Outline = vars(self)["polygon"]
-        return outline
+        return known(self.goal_outline)
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team.
@@ -216,6 +214,16 @@ class Morph(ShapeStep):
             ends = self.end(task).hitch, self.phase(task), self.duration
             yield Candidate("earlier route", partial(plan_like, task, self.like, *ends))
         yield from super().ways(task)
+
+    def search(self, task: StepTask, end: End) -> RouteSearch:
+        """Return the search of a route, also of a faster one, with the step's options."""
+        return replace(
+            super().search(task, end),
+            phase=replace(self.phase(task), tension=self.tension),
+            replaces_slow=True,
+            allow_slides=self.optimize,
+            cost=self.cost,
+        )
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan along straight lines."""

@@ -311,6 +311,18 @@ class Step(Record, ABC):
         return seconds if isinstance(seconds, float) else None
 
     @property
+    def goal_outline(self) -> Outline | None:
+        """The polygon that a resolved step states; None if it states none."""
+        outline: Outline | None = vars(self).get("polygon")
+        return outline
+
+    @property
+    def object_name(self) -> str | None:
+        """Name of the object that it states; None if it states none."""
+        name: str | None = getattr(self, "object", None)
+        return name
+
+    @property
     def split(self) -> SlackSplit | None:
         """The slack split that a resolved step states; None if it states none."""
         legs: SlackSplit | None = vars(self).get("legs")
@@ -333,13 +345,11 @@ class Step(Record, ABC):
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team: polygon as an outline, legs as an array."""
-        polygon = vars(self).get("polygon")
-        legs = vars(self).get("legs")
         checked: dict[str, Any] = {}
-        if polygon is not None:
-            checked["polygon"] = checked_polygon(team, polygon)
-        if legs is not None:
-            checked["legs"] = slack_split(legs, team)
+        if self.goal_outline is not None:
+            checked["polygon"] = checked_polygon(team, self.goal_outline)
+        if self.split is not None:
+            checked["legs"] = slack_split(self.split, team)
         return replace(self, **checked) if checked else self
 
     def checked_polygon_after(
@@ -361,7 +371,7 @@ class Step(Record, ABC):
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:
         """Return the outline after the step: its own polygon, if it has one, else ``outline``."""
-        polygon = vars(self).get("polygon", outline)
+        polygon = outline if self.goal_outline is None else self.goal_outline
         return None if polygon is None else checked_polygon(team, polygon)
 
     def place_after(self, body: SolidObject, below: float) -> Array | None:  # noqa: ARG002
@@ -442,7 +452,6 @@ class Step(Record, ABC):
 
         Centres are (2,) [m]: one point until the hitch is carried elsewhere or formed again.
         """
-        polygon: Outline | None = vars(self).get("polygon")
-        if polygon is None:
+        if self.goal_outline is None:
             return (), centre
-        return (scaled_outline_edit("polygon", polygon, factor, centre),), centre
+        return (scaled_outline_edit("polygon", self.goal_outline, factor, centre),), centre

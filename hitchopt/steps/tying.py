@@ -47,7 +47,7 @@ from hitchopt.steps.step import (
     scaled_outline_edit,
 )
 from hitchopt.support import Feature, Neighbour, unsupported
-from hitchopt.values import Array, Indices, Points
+from hitchopt.values import Array, Indices, Points, known
 from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, points, words
 from hitchopt.values.units import ALTITUDE
 
@@ -100,8 +100,7 @@ class Form(Step):
     @property
     def outline(self) -> Outline:
         """The polygon of the resolved step."""
-        outline: Outline = vars(self)["polygon"]
-        return outline
+        return known(self.goal_outline)
 
     @property
     def rolls_pairs(self) -> bool:

@@ -16,14 +16,15 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.drones.controllers import Tube
-from hitchopt.errors import UnitWarning
+from hitchopt.errors import FaultWarning, RequestError, UnitWarning
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission import repair
 from hitchopt.mission.alternatives import retuning_changes, rim_changes
 from hitchopt.mission.changes import change_of, with_edits
+from hitchopt.mission.fitted_values import fitting_cables
 from hitchopt.mission.knobs import knobs_of, scaled_outlines, team_edit
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import Suggestion, find_suggestions, fitting_cables
+from hitchopt.mission.repair import Suggestion, find_suggestions
 from hitchopt.mission.solving import contents, solve_problem
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.moving import Hold
@@ -166,6 +167,25 @@ def test_statics_suggest_the_cables_of_polygons_and_grips() -> None:
     assert "use a shorter cable or a larger polygon" in raised.value.violations[0].remedy
     heptagon["team"]["cable_length"] = lengths[1]
     assert solve_problem(problem_from_dict(heptagon), optimiser=False).certificate.certified
+
+
+@pytest.mark.parametrize(("kind", "is_reported"), [(ho.InputError, True), (RequestError, False)])
+def test_faults_in_fitting_cables_to_objects_are_reported_and_hide_no_other_length(
+    monkeypatch: pytest.MonkeyPatch,
+    recwarn: pytest.WarningsRecorder,
+    kind: type[ho.InputError],
+    is_reported: bool,
+) -> None:
+    """What is wrong with the request is not: the object's step refuses it."""
+
+    def faulty(*_: object) -> None:
+        raise kind("grip", 1.0, "another one", "report it")
+
+    monkeypatch.setattr("hitchopt.mission.fitted_values.shortest_judge", faulty)
+    data = small(objects={"crate": CRATE}, mission=[{"enclose": {"object": "crate"}}])
+    without = fitting_cables(problem_from_dict(small()))
+    assert fitting_cables(problem_from_dict(data)) == without
+    assert [w.category for w in recwarn.list] == [FaultWarning] * is_reported
 
 
 @pytest.mark.slow
