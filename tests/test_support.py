@@ -28,8 +28,8 @@ from hitchopt.motion.flight import TeamMotion
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import final_hitch
 from hitchopt.planners.carrying.polygons import grip_clasps
+from hitchopt.planners.enclosing import object_of
 from hitchopt.planners.optimise.cost import FlightCost
-from hitchopt.steps.carrying import object_of
 from hitchopt.steps.tying import check_rollable
 from hitchopt.support import REFUSALS, Feature, Neighbour
 from hitchopt.view.editing import Editing

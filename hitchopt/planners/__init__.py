@@ -8,5 +8,6 @@ function, ``straight_path``; ``motion_along`` times every path.
 Packages plan geometry and timing; the modules beside them decide what a step tries. A step gives
 them a ``StepTask`` and takes a ``StepPlan`` (``task``): at rest (``rests``), to the hitch at its
 end (``ends``) along certified ``routes`` with ``compensation`` of friction, ``blending`` steps,
-``tying`` a hitch, by ``grasps`` of objects, ``straddling`` one with two cables, or in ``swarms``.
+``tying`` a hitch, ``enclosing`` and taking objects by ``grasps``, ``straddling`` one with two
+cables, or in ``swarms``.
 """

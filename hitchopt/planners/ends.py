@@ -97,6 +97,22 @@ def end_of_morph(
     return End(_nearest(start, polygon, start.fractions, requirements))
 
 
+def moved_points(outline: Outline, to: Array, yaw: float) -> Array:
+    """Return the points (n, 2) [m] of an outline turned about its centroid, and moved to a goal.
+
+    ``to`` is the goal (2,) or (3,) of the centroid [m], ``yaw`` the angle [rad].
+    """
+    turned = outline.translated(-outline.centroid).rotated(yaw)
+    points: Array = turned.vertices + to[:2]
+    return points
+
+
+def end_of_transport(start: Hitch, to: Array, yaw: float) -> Hitch:
+    """Return the hitch turned about its centroid by ``yaw`` [rad], and moved to ``to`` (3,) [m]."""
+    polygon = moved_points(start.polygon, to, yaw)
+    return Hitch(start.team, polygon, float(to[2]), start.q_legs, start.roll)
+
+
 def end_of_action(action: Action, legs: SlackSplit | None, requirements: Requirements) -> End:
     """Return the hitch after an action; by default its legs are nearest to the action's own."""
     from hitchopt.planners.morph.legs import SLIDING_TOLERANCE

@@ -6,19 +6,21 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.candidates import Candidate, Effort, first_certified, first_feasible
-from hitchopt.planners.compensation import compensated
+from hitchopt.planners.compensation import compensated, with_friction_feedforward
+from hitchopt.planners.ends import SlackSplit, end_of_morph, end_of_transport
 from hitchopt.planners.rests import IDLE, check_at_rest, rest_motion
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
 
@@ -33,13 +35,17 @@ from hitchopt.values import Array
 
 P = TypeVar("P", bound="Translatable")
 
-
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
 OWN_ROUTE = "the step's own route"
 OPTIMISED_ROUTE = "optimised route"
 FASTER_ROUTE = "faster route"
 BEST_ROUTE = "the best route tried"
 FASTER = "faster than the step's own route"
+
+
+def end_of_step(phase: Phase) -> str:
+    """Return the words for the end of a phase's step in errors."""
+    return f"at the end of step {phase.step} ({phase.name})"
 
 
 class SearchThreshold(NamedTuple):
@@ -156,17 +162,17 @@ def straight_plan(
 
 
 def rigid_plan(
-    task: StepTask, to: Array, yaw: float, end: Hitch, phase: Phase, duration: float | None
+    task: StepTask, to: Array, yaw: float, phase: Phase, duration: float | None = None
 ) -> StepPlan:
     """Return the plan of a hitch that moves and turns without a change of its shape.
 
-    Where prisms or objects may be in its way, it is certified.
+    Where prisms or objects may be in its way, it is certified. Raises InfeasibleError if the hitch
+    breaks a limit at rest in the goal.
 
     Parameters
     ----------
     to: goal (3,) of its centroid [m].
     yaw: angle [rad] by which it turns about it.
-    end: hitch at the goal.
     phase: with the step's name and index.
     duration: prescribed duration [s]; None for the fastest one.
     """
@@ -175,6 +181,8 @@ def rigid_plan(
     from hitchopt.planners.timing.timed_motion import motion_along
 
     requirements = task.requirements
+    end = end_of_transport(task.hitch, to, yaw)
+    check_at_rest(end, requirements, end_of_step(phase))
     path = RigidPath(task.hitch, to, yaw)
     if path.is_constant:
         return task.plan_ending(rest_motion(end, requirements, duration or IDLE, phase), end)
@@ -280,9 +288,8 @@ class RouteSearch:
         if is_requested:
             yield Candidate(OPTIMISED_ROUTE, self._requested_plan)
         yield Candidate(OWN_ROUTE, self._own_plan if is_requested else self.own_or_faster_plan)
-        when = f"at the end of step {self.phase.step} ({self.phase.name})"
         for hitch in (task.hitch, self.end):
-            check_at_rest(hitch, task.requirements, when)
+            check_at_rest(hitch, task.requirements, end_of_step(self.phase))
         if task.optimiser and not is_requested:
             yield Candidate(OPTIMISED_ROUTE, self.optimised_plan)
 
@@ -337,6 +344,49 @@ class RouteSearch:
             self.allow_slides,
             self.cost,
         ).plan()
+
+
+def leg_candidates(
+    task: StepTask,
+    phase: Phase,
+    legs: Any,
+    plan_with: Callable[[Any], StepPlan],
+) -> Iterator[Candidate[StepPlan]]:
+    """Yield the plan to legs at the end, and the one to spread legs where it is infeasible.
+
+    Raises InfeasibleError if the first one is infeasible and the start breaks a limit at rest.
+
+    Parameters
+    ----------
+    phase: with the step's name and index.
+    legs: that the step states; None for the nearest ones.
+    plan_with: returns the certified plan to legs.
+    """
+    yield Candidate("nearest legs", partial(plan_with, legs))
+    check_at_rest(task.hitch, task.requirements, end_of_step(phase))
+    if legs is None:
+        yield Candidate("spread legs", partial(plan_with, "spread"))
+
+
+def morph_plan(task: StepTask, polygon: Outline, legs: SlackSplit | None = None) -> StepPlan:
+    """Return the plan of the step ``morph`` with its defaults; ``legs`` are those at its end."""
+    phase = Phase("morph", task.index, 0.0, 0.0)
+
+    def plan_with(legs: SlackSplit | None) -> StepPlan:
+        """Return the plan to legs."""
+        end = end_of_morph(task.hitch, polygon, legs, task.requirements).hitch
+        straight = partial(straight_plan, task, end, phase)
+        return RouteSearch(task, end, phase, straight, replaces_slow=True).plan()
+
+    candidates = leg_candidates(task, phase, legs, plan_with)
+    plan = first_certified(candidates, task.effort, task.progress)
+    return with_friction_feedforward(plan, timed=False)
+
+
+def transport_plan(task: StepTask, to: Array) -> StepPlan:
+    """Return the plan of the step ``transport`` to a goal (3,) [m], with its defaults."""
+    plan = rigid_plan(task, to, 0.0, Phase("transport", task.index, 0.0, 0.0))
+    return with_friction_feedforward(plan, timed=False)
 
 
 def action_plan(

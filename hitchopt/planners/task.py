@@ -16,7 +16,7 @@ from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import Progress, RequestError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.motion.motion import Motion, Phase, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner
@@ -191,6 +191,16 @@ class StepTask:
             objects={**self.requirements.objects, grasp.object: body},
         )
         return StepPlan(motion, after)
+
+
+def slowed_to_duration(motion: Motion, duration: float | None, phase: Phase) -> Motion:
+    """Return a motion slowed down to the prescribed duration of a phase's step [s], if any."""
+    from hitchopt.planners.timing.timed_motion import check_duration
+
+    if duration is None:
+        return motion
+    check_duration(duration, motion.duration, f"of step {phase.step} ({phase.name})")
+    return motion.slowed(duration / motion.duration)
 
 
 def plan_in_sequence(

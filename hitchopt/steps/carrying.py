@@ -2,51 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up
-from hitchopt.geometry import ConvexPolygon
+from hitchopt.errors import RequestError
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
-from hitchopt.motion.motion import Motion, Phase, PhaseHold
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, stacked_on, surface_below
+from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, surface_below
 from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.carrying.around import (
-    PLACE_TOLERANCE,
-    altitude_over,
-    orientations_around,
-    requirements_closing,
-    slowed_to,
-)
 from hitchopt.planners.carrying.hinge import check_hinge
-from hitchopt.planners.carrying.holds import GripHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
-from hitchopt.planners.carrying.planner import (
-    AROUND_SPEED,
-    LIFT_SPEED,
-    GraspState,
-    check_opens,
-    check_pull,
-    one_phase,
+from hitchopt.planners.carrying.planner import LIFT_SPEED
+from hitchopt.planners.enclosing import (
+    enclosing_plan,
+    enclosing_planners,
+    first_orientation,
+    gripping_plan,
+    leaving_plan,
+    loosening_plan,
+    object_of,
+    resting_plan,
 )
-from hitchopt.planners.carrying.polygons import HoldPolygons
-from hitchopt.planners.compensation import with_friction_feedforward
-from hitchopt.planners.ends import RolledLegs, end_of_morph
-from hitchopt.planners.grasps import Closing, HoldJudge, altitude_around
-from hitchopt.planners.routes import OBSTACLE_CHECKS, plan_to_hitch
+from hitchopt.planners.routes import OBSTACLE_CHECKS
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
-from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import Knob, ObjectOf, Place, Seconds, Stage, Step, Yaw, checks_relaxed_by
 from hitchopt.steps.straddling import Tie, Untie
-from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, Points
-from hitchopt.values.fields import Key, documented, points, with_fields, words
+from hitchopt.values.fields import Key, documented, points, words
 from hitchopt.values.units import LENGTH, TENSION
 
 __all__ = [  # noqa: RUF022, in the order of the keys of problem files
@@ -68,38 +55,12 @@ MAX_VIA = 100
 """Maximum number of waypoints of one object."""
 
 
-def object_of(task: StepTask, name: str) -> SolidObject:
-    """Return an object at its current pose; raise InputError if it cannot be held."""
-    objects, key = task.requirements.objects, f"objects.{name}"
-    body = objects[name]
-    if not task.before.team.layout.closed:
-        raise refused_value(Feature.HOLDING, Neighbour.CHAINS, "open", RequestError)
-    if body.fixed:
-        remedy = "omit it, or only tie two cables around it"
-        raise RequestError(f"{key}.fixed", True, "false if it is lifted", remedy)
-    if body.friction == 0.0:
-        bound, remedy = "above 0 if it is held", "only friction moves it along with the cables"
-        raise RequestError(f"{key}.friction", 0.0, bound, remedy)
-    for other in stacked_on(objects, name, task.requirements.floor):
-        at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held alone"
-        raise RequestError(f"objects.{other}.at", at, bound, f"carry objects.{other} away first")
-    return body
-
-
 def goal_of(step: Step, requirements: Requirements, name: str) -> Array:
     """Return the pose (4,) of a held object's base after a step: x, y, z [m], yaw [rad]."""
     objects = requirements.objects
     below, _ = surface_below(objects, poses_of(objects), name, requirements.floor)
     goal = step.place_after(objects[name], below)
     return objects[name].place if goal is None else goal
-
-
-def step_motion(
-    step: Step, task: StepTask, parts: Sequence[Motion], hold: PhaseHold | None = None
-) -> Motion:
-    """Return consecutive motions as one phase of a step, in its prescribed duration."""
-    motion = one_phase(parts, task.requirements, task.index, step.name, hold)
-    return step.with_duration(task, motion)
 
 
 @documented
@@ -116,105 +77,7 @@ class Enclose(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the change to a hitch around the object, in the first feasible orientation."""
-        return first_orientation(self.orientations(task), task)
-
-    def orientations(self, task: StepTask) -> list[Callable[[StepTask], StepPlan]]:
-        """Return the planners of hitches around the object, in order of decreasing capacity."""
-        body = object_of(task, self.object)
-        orientations = orientations_around(
-            self.object, task.before.team, task.requirements, task.hitch.polygon
-        )
-        return [
-            partial(self._around, body=body, polygons=polygons, polygon=around)
-            for polygons, around in orientations
-        ]
-
-    def _around(
-        self, task: StepTask, body: SolidObject, polygons: HoldPolygons, polygon: ConvexPolygon
-    ) -> StepPlan:
-        """Plan the change to a polygon around the object."""
-        requirements = task.requirements
-        hitch = task.hitch
-        clearance = requirements.separation.object
-        altitude = altitude_around(body, requirements.separation)
-        height = altitude - requirements.floor
-        if height < clearance - CONTACT_GAP:
-            name = f"objects.{self.object}"
-            when = f"with the hitch around {name}"
-            remedy = f"use a taller {name} or a higher rim, or raise its support"
-            violation = Violation(
-                "object_clearance", height, clearance, "min", "m", ("ground",), when, remedy
-            )
-            raise InfeasibleError([violation])
-        radius = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
-        size = f"{rounded_up(radius, 2):.2g} m in radius"
-        remedy = f"tie the hitch as large as it is around objects.{self.object} ({size})"
-        check_opens(hitch, polygon.vertices, requirements, remedy)
-        above = self._above(task, polygon, altitude)
-        parts = [above.motion]
-        near = task.within(requirements, above.after)
-        top = max(altitude_over(near.hitch, polygon, requirements), altitude)
-        slow = slowed_to(requirements, AROUND_SPEED)
-        for height, within in ((top, requirements), (altitude, slow)):
-            if near.hitch.altitude - height >= PLACE_TOLERANCE:
-                down = Transport(np.append(polygon.centroid, height))
-                lower = down.plan(near.within(within, near.before))
-                parts.append(lower.motion)
-                near = near.within(requirements, lower.after)
-        grasp = GraspState(self.object, polygons, task.before.team.tension)
-        return StepPlan(step_motion(self, task, parts), replace(near.before, grasp=grasp))
-
-    def _above(self, task: StepTask, polygon: ConvexPolygon, altitude: float) -> StepPlan:
-        """Plan the change to a polygon above an altitude [m], and over all that is passed.
-
-        A hitch that is higher descends as it changes, if it can, and one that travels changes on
-        the way, or else where it arrives.
-        """
-        hitch = task.hitch
-        lowest = max(altitude_over(hitch, polygon, task.requirements), altitude)
-        level = max(hitch.altitude, lowest)
-        start = hitch.polygon.centroid
-        rising = [Transport(np.append(start, level)).plan]
-        if level - hitch.altitude < PLACE_TOLERANCE:
-            rising = []
-        changing = Morph(polygon).plan
-        travelling = Transport(np.append(polygon.centroid, level)).plan
-        orders = list[list[Callable[[StepTask], StepPlan]]]()
-        if level - lowest >= PLACE_TOLERANCE:
-            orders.append([partial(_descend, polygon, lowest)])
-        orders.append([*rising, changing])
-        if np.max(np.abs(polygon.centroid - start)) >= PLACE_TOLERANCE:
-            orders.append([*rising, travelling, changing])
-        last = orders.pop()
-        ways = [partial(certified_plan, partial(plan_in_sequence, order), task) for order in orders]
-        ways.append(partial(plan_in_sequence, last, task))
-        candidates = [Candidate("way", way) for way in ways]
-        return first_certified(candidates, task.effort, task.progress)
-
-
-def _descend(polygon: ConvexPolygon, altitude: float, task: StepTask) -> StepPlan:
-    """Plan the change to a polygon at another altitude [m]."""
-    level = end_of_morph(task.hitch, polygon, None, task.requirements).hitch
-    end = with_fields(level, altitude=altitude)
-    plan = plan_to_hitch(task, end, Phase("morph", task.index, 0.0, 0.0))
-    return with_friction_feedforward(plan, timed=False)
-
-
-def first_orientation(
-    planners: Sequence[Callable[[StepTask], StepPlan]], task: StepTask
-) -> StepPlan:
-    """Return the first certified plan of several orientations, or the plan of the only one."""
-    if len(planners) == 1:
-        return planners[0](task)
-    orientations = (
-        Candidate("orientation", partial(certified_plan, planner, task)) for planner in planners
-    )
-    return first_certified(orientations, task.effort, task.progress)
-
-
-def certified_plan(planner: Callable[[StepTask], StepPlan], task: StepTask) -> StepPlan:
-    """Return a planner's certified plan."""
-    return require_certified(planner(task))
+        return enclosing_plan(task, self.object, self.prescribed_duration)
 
 
 HoldMethod = Literal["rest", "grip"]  # Method of holding an object
@@ -229,11 +92,6 @@ HoldTension = Annotated[
 
 BALANCE_CHECKS = frozenset({"equilibrium", "keep_out"})
 """Checks that a higher or a lower tension may satisfy."""
-
-
-def hold_judge(task: StepTask, tension: Array) -> HoldJudge:
-    """Return the judge of holds of the enclosed object, with tensions (n,) [N]."""
-    return HoldJudge(task.held.from_state(tension=tension), task.hitch)
 
 
 class TensionStep(Step):
@@ -273,55 +131,9 @@ class Grasp(TensionStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how clasps close below the object's rim, or edges close around the object."""
-        body, team = object_of(task, self.object), task.before.team
-        tension = self.tension_for(team)
-        if self.by == "grip":
-            return self._grip(task, body, tension)
-        if body.rim is None:
-            key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
-            raise RequestError(key, None, bound, "add a rim, or grasp it by: grip")
-        judge = hold_judge(task, tension)
-        slow = requirements_closing(task.requirements, self.object)
-        closing_task = task.within(slow, task.before)
-
-        def held(closing: Closing, reserve: float) -> StepPlan:
-            """Return the plan that closes the hitch below the rim and rises to it."""
-            planner = judge.with_hold(closing[-1])
-            moves = [
-                *planner.retension(team.tension, tension),
-                planner.rim_move(planner.gap, 0.0),
-            ]
-            hitches = [hold.hitch(body, planner.gap) for hold in closing]
-            ends = [(each.polygon, RolledLegs(each.q_legs, each.roll)) for each in hitches]
-            morphs = [Morph(*end).plan for end in ends]
-            straight_task = replace(closing_task, optimiser=False)
-            at_once = partial(certified_plan, morphs[-1], straight_task)
-            in_turn = partial(certified_plan, partial(plan_in_sequence, morphs), closing_task)
-            ways = [Candidate("closing", at_once), Candidate("closing", in_turn)]
-            closed = first_certified(ways, task.effort)
-            rising = planner.motion(moves, self.name)
-            parts = [closed.motion, rising]
-            motion = step_motion(self, task, parts, rising.phases[0].hold)
-            if np.any(planner.hold.roll):  # drones and cables sink toward the ground
-                require_certified(StepPlan(motion, task.before))
-            plan = task.plan_with_object(motion, planner.state, body.place)
-            return plan.with_remark(judge.remark_on(reserve))
-
-        return first_certified(judge.candidates(held), task.effort, task.progress)
-
-    def _grip(self, task: StepTask, body: SolidObject, tension: Array) -> StepPlan:
-        """Plan how cables grip the object with tensions (n,) [N]."""
-        team = task.before.team
-        if body.rim is not None:
-            key = f"mission[{task.index}].{self.name}.by"
-            bound = "rest if the hitch is below the object's rim"
-            raise RequestError(key, "grip", bound, "omit the rim")
-        check_pull(float(np.max(tension)), team, task.requirements)
-        judge = hold_judge(task, tension)
-        grips = judge.candidates(lambda closing, _: judge.with_hold(closing[-1]))
-        planner = first_certified(grips, task.effort, task.progress)
-        motion = self.with_duration(task, planner.close_grip(team.tension, self.name))
-        return task.plan_with_object(motion, planner.state, body.place)
+        grasping_plan = gripping_plan if self.by == "grip" else resting_plan
+        tension = self.tension_for(task.before.team)
+        return grasping_plan(task, self.object, tension, self.prescribed_duration)
 
 
 @documented
@@ -444,24 +256,7 @@ class Loosen(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the change to a hitch around the object."""
-        body = object_of(task, self.object)
-        team = task.before.team
-        planner = task.held
-        hold = planner.hold
-        freed = replace(task.grasp, tension=team.tension, hold=None)
-        if isinstance(hold, GripHold):
-            motion = self.with_duration(task, planner.open_grip(team.tension, self.name))
-            after = task.plan_with_object(motion, freed, body.place).after
-            return StepPlan(motion, replace(after, hitch=hold.opened.hitch(body)))
-        lower = planner.retension(planner.state.tension, team.tension)
-        sinking = planner.motion([planner.rim_move(0.0, planner.gap), *lower], self.name)
-        held = replace(freed, hold=hold)
-        low = task.plan_with_object(sinking, held, body.place, planner.gap).after
-        around = Morph(polygon_at(body, freed.polygons.around))
-        slow = requirements_closing(task.requirements, self.object)
-        opening = around.plan(task.within(slow, low))
-        motion = step_motion(self, task, [sinking, opening.motion], sinking.phases[0].hold)
-        return StepPlan(motion, replace(opening.after, grasp=freed))
+        return loosening_plan(task, self.object, self.prescribed_duration)
 
 
 @documented
@@ -475,12 +270,7 @@ class Leave(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical ascent."""
-        polygon = task.hitch.polygon
-        altitude = max(task.hitch.altitude, altitude_over(task.hitch, polygon, task.requirements))
-        over = Transport(np.append(polygon.centroid, altitude))
-        plan = over.plan(task.within(slowed_to(task.requirements, AROUND_SPEED), task.before))
-        motion = step_motion(self, task, [plan.motion])
-        return StepPlan(motion, replace(plan.after, grasp=None))
+        return leaving_plan(task, self.prescribed_duration)
 
 
 @documented
@@ -566,7 +356,7 @@ class TransportObject(TensionStep):
             taking = partial(Tie(self.object).plan_to_grip, tension=tension)
             leaving = [Untie().plan]
         else:
-            around = Enclose(self.object).orientations(task)
+            around = enclosing_planners(task, self.object)
             holds = [partial(plan_in_sequence, [enclose, grasp.plan]) for enclose in around]
             taking = partial(first_orientation, holds)
         plan = plan_in_sequence([taking, *(step.plan for step in carrying), *leaving], task)

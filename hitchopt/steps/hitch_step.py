@@ -12,7 +12,13 @@ from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action
 from hitchopt.planners.rests import check_at_rest
-from hitchopt.planners.routes import RouteSearch, action_plan, rolling_action_plan
+from hitchopt.planners.routes import (
+    RouteSearch,
+    action_plan,
+    end_of_step,
+    leg_candidates,
+    rolling_action_plan,
+)
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.step import Legs, Step
 from hitchopt.values.fields import with_fields
@@ -34,7 +40,7 @@ class HitchStep(Step):
 
     def check_end(self, end: Hitch, task: StepTask) -> None:
         """Raise InfeasibleError if the hitch after the step breaks a limit at rest."""
-        check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
+        check_at_rest(end, task.requirements, end_of_step(self.phase(task)))
 
 
 class NonstopStep(HitchStep):
@@ -65,15 +71,13 @@ class ShapeStep(NonstopStep):
         return first_certified(self.ways(task), task.effort, task.progress)
 
     def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
-        """Yield the plans to the nearest legs, and to spread ones where these are infeasible.
+        """Yield the plans to the nearest legs, and to spread ones where these are infeasible."""
 
-        Raises InfeasibleError if the first one is infeasible and the start breaks a limit at rest.
-        """
-        yield Candidate("nearest legs", partial(self.fly_to_end, task))
-        self.check_end(task.hitch, task)
-        if self.legs is None:
-            spread = with_fields(self, legs="spread")
-            yield Candidate("spread legs", partial(spread.fly_to_end, task))
+        def plan_with(legs: Legs | None) -> StepPlan:
+            """Return the plan to legs."""
+            return with_fields(self, legs=legs).fly_to_end(task)
+
+        return leg_candidates(task, self.phase(task), self.legs, plan_with)
 
     def fly_to_end(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""

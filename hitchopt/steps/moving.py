@@ -20,7 +20,7 @@ from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.candidates import Candidate
-from hitchopt.planners.ends import End, end_of_morph
+from hitchopt.planners.ends import End, end_of_morph, end_of_transport, moved_points
 from hitchopt.planners.rests import hover_motion, rest_motion
 from hitchopt.planners.routes import RouteSearch, plan_like, rigid_plan, straight_plan
 from hitchopt.planners.settling import settling_plan
@@ -602,15 +602,12 @@ class Transport(NonstopStep):
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid and moved to the goal."""
-        turned = outline.translated(-outline.centroid).rotated(self.yaw)
-        return _convex(team, turned.vertices + np.asarray(self.to)[:2], "to", self.to)
+        points = moved_points(outline, np.asarray(self.to), self.yaw)
+        return _convex(team, points, "to", self.to)
 
     def end(self, task: StepTask) -> End:
         """Return the hitch at the goal."""
-        start = task.hitch
-        outline = self.polygon_after(start.team, start.polygon)
-        altitude = float(np.asarray(self.to)[2])
-        return End(Hitch(start.team, outline, altitude, start.q_legs, start.roll))
+        return End(end_of_transport(task.hitch, np.asarray(self.to), self.yaw))
 
     def passed(self, task: StepTask, count: int) -> list[Hitch]:
         """Return hitches on the straight way to the goal, turned by MAX_PASSED_TURN at most."""
@@ -628,10 +625,7 @@ class Transport(NonstopStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
-        end = self.end(task).hitch
-        self.check_end(end, task)
-        goal = np.asarray(self.to), self.yaw
-        return rigid_plan(task, *goal, end, self.phase(task), self.duration)
+        return rigid_plan(task, np.asarray(self.to), self.yaw, self.phase(task), self.duration)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
         """Return no edits, and the goal as the new centre."""

@@ -26,7 +26,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState
 from hitchopt.planners.ends import SPLIT, SPLIT_TEXT, RolledLegs, SlackSplit
-from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.planners.task import StepPlan, StepTask, slowed_to_duration
 from hitchopt.values import Array, Points, finite, per_robot
 from hitchopt.values.fields import (
     FLAGS,
@@ -415,13 +415,7 @@ class Step(Record, ABC):
 
     def with_duration(self, task: StepTask, motion: Motion) -> Motion:
         """Return the motion slowed down to the prescribed duration, if there is one."""
-        from hitchopt.planners.timing.timed_motion import check_duration
-
-        duration = self.prescribed_duration
-        if duration is None:
-            return motion
-        check_duration(duration, motion.duration, f"of step {task.index} ({self.name})")
-        return motion.slowed(duration / motion.duration)
+        return slowed_to_duration(motion, self.prescribed_duration, self.phase(task))
 
     def plan_of_moves(self, task: StepTask, grasp: GraspState, moves: Sequence[Move]) -> StepPlan:
         """Return the plan of consecutive moves to a grasp, in the prescribed duration.

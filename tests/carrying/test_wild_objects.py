@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import hitchopt as ho
+from hitchopt.planners.enclosing import enclosing_planners
 from hitchopt.planners.task import RestState, StepTask
-from hitchopt.steps.carrying import Enclose
 
 FOLDER = Path(__file__).parent / "wild"
 
@@ -35,11 +35,11 @@ def test_a_tray_beside_a_table_is_taken_in_another_orientation() -> None:
     requirements = mission.requirements.with_reserve
     hitch = ho.Hitch.spread(problem.team, problem.start.polygon, problem.start.altitude)
     task = StepTask(RestState(problem.team, hitch.drones, hitch), 0, requirements)
-    first, *others = Enclose("thing").orientations(task)
+    first, *others = enclosing_planners(task, "thing")
     with pytest.raises(ho.InfeasibleError, match="table"):
         first(task)
     assert len(others) == 11
-    assert Enclose("thing").plan(task).certificate.certified
+    assert ho.Enclose("thing").plan(task).certificate.certified
     (unhindered,) = ho.load_problem(FOLDER / "carry_16.yaml").teams.values()
     alone = replace(task, requirements=unhindered.requirements)
-    assert len(Enclose("thing").orientations(alone)) == 1  # nothing is in its way
+    assert len(enclosing_planners(alone, "thing")) == 1  # nothing is in its way
