@@ -19,6 +19,7 @@ from hitchopt.hitch.forces import (
     sag_factors,
     shortening,
 )
+from hitchopt.hitch.least_roll import least_roll, split_with_least_roll
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team
@@ -257,7 +258,7 @@ class Hitch(ByValue):
         fixed = None if roll is None else checked_roll(team, roll)
         legs = balanced_legs(team, outline)
         task = LegTask.at_rest(team, outline, legs, requirements, SPREAD_MARGIN, fixed)
-        split, rolled = task.split_with_least_roll() if fixed is None else (task.split(), fixed)
+        split, rolled = split_with_least_roll(task) if fixed is None else (task.split(), fixed)
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     @classmethod
@@ -286,7 +287,7 @@ class Hitch(ByValue):
         requirements = Requirements(limits, separation, arena)
         angles = checked_roll(team, roll)
         task = LegTask.at_rest(team, outline, reference, requirements, LIMIT_MARGIN, angles)
-        split, rolled = task.split_with_least_roll()
+        split, rolled = split_with_least_roll(task)
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     def least_rolled(self, requirements: Requirements) -> Hitch:
@@ -295,7 +296,7 @@ class Hitch(ByValue):
         There is no roll if the limits hold without it, or if no roll helps.
         """
         task = LegTask.at_rest(self.team, self.polygon, self.q_legs, requirements, LIMIT_MARGIN)
-        roll = None if task.reference_margin() >= 1.0 else task.least_roll()
+        roll = None if task.reference_margin() >= 1.0 else least_roll(task)
         return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll or 0.0)
 
     def at_altitude(self, altitude: float) -> Hitch:

@@ -8,9 +8,8 @@ its bounds. In repeated solutions the penalized deviation never increases (Marks
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -22,7 +21,6 @@ from hitchopt.geometry.vectors import EAST, dot, first_smallest, length, unit
 from hitchopt.hitch.forces import (
     cable_slack_of,
     clasp_loads,
-    if_balanced,
     leg_directions,
     leg_vectors,
     sag_factors,
@@ -55,9 +53,6 @@ CROSSING_MARGIN = 1.005
 
 MARGIN_ROUNDING = 1e-9
 """Relative rounding of margins: one that misses its bound by less is reached."""
-
-ROLL_MARGIN_ERROR = 5e-7
-"""Relative error of a margin that a roll suffices for, since programs are solved inexactly."""
 
 PROGRAM_RESERVE = 1e-7
 """Reserve of margins in programs, which allows for their residuals: relative to a margin, and the
@@ -105,24 +100,6 @@ them."""
 
 MIN_SLOPE = 1e-9
 """Smallest slope, along the normal of a wall, of drones that do not slide parallel to the wall."""
-
-ROLL_CANDIDATES = tuple(
-    math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
-)
-"""[rad] Rolls in ascending order, of which the first sufficient one is refined. Simulated clasps
-hold up to 60°."""
-
-ROLL_BISECTIONS = 7
-"""Number of bisections that refine a roll for the reference."""
-
-RESPLIT_CANDIDATES = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5])
-"""[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference."""
-
-RESPLIT_BISECTIONS = 3
-"""Number of bisections that refine a roll for other leg lengths."""
-
-RESPLIT_RATIO = 0.9
-"""Roll at which other leg lengths must suffice, over the one that the reference needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +232,10 @@ class LegTask:
                 break
         return best
 
+    def margin_near_reference(self) -> float:
+        """Return the margin of the leg lengths found from the reference, at most the task's."""
+        return LegBodies.within_bounds(self).refined(self.reference, first=True).margin
+
     def reference_margin(self) -> float:
         """Return the smallest margin of the reference; infinite if all pairs are far apart."""
         return float(np.min(self.reference_margins()))
@@ -296,56 +277,6 @@ class LegTask:
         penalty = PENALTY * self.team.robots * deficit
         return penalty + 0.5 * split.deviation
 
-    def split_with_least_roll(self) -> tuple[LegLengths, Array | float]:
-        """Return leg lengths on one polygon and their roll [rad].
-
-        The task's initial roll, or none, applies if the limits hold with it. Otherwise the smallest
-        candidate applies that keeps the task's margin, or else the limits, with the reference
-        lengths or others; without such a candidate, the initial roll. Candidates have the sign of
-        the initial roll, positive without one.
-        """
-        initial = 0.0 if self.roll is None else self.roll
-        split = self.split()
-        if split.margin >= 1.0:
-            return split, initial
-        sign = -1.0 if np.sum(initial) < 0.0 else 1.0
-        for margin in dict.fromkeys((self.largest_margin, LIMIT_MARGIN)):
-            task = replace(self, margin=margin)
-            roll = _least_roll_of_any_lengths(task, sign)
-            if roll is not None:
-                return replace(task, roll=roll).split(), roll
-        return split, initial
-
-    def least_roll(
-        self,
-        sign: float = 1.0,
-        margin_of: Callable[[LegTask], float] = reference_margin,
-        candidates: tuple[float, ...] = ROLL_CANDIDATES,
-        bisections: int = ROLL_BISECTIONS,
-    ) -> float | None:
-        """Return the smallest roll [rad] of the search that keeps the task's margins, or None.
-
-        It is the first sufficient candidate, refined by bisection down to the one before. Rolls
-        with which clasps have no balance do not suffice.
-        """
-
-        def suffices(angle: float) -> bool:
-            rolled = replace(self, roll=sign * angle)
-            margin = if_balanced(partial(margin_of, rolled), -math.inf)
-            return margin >= self.largest_margin * (1.0 - ROLL_MARGIN_ERROR)
-
-        upper = next((angle for angle in candidates if suffices(angle)), None)
-        if upper is None:
-            return None
-        lower = max((angle for angle in candidates if angle < upper), default=0.0)
-        for _ in range(bisections):
-            middle = 0.5 * (lower + upper)
-            if suffices(middle):
-                upper = middle
-            else:
-                lower = middle
-        return sign * upper
-
     def hessian(self, size: int) -> sp.csc_array[np.float64]:
         """Return the Hessian of half the sum of squared lengths and of the fractions' roughness.
 
@@ -367,21 +298,6 @@ class LegTask:
         of_slacks = sp.csc_array((2, 2))
         roughness = sp.block_diag([self.roughness * (bend.T @ bend), of_slacks])
         return sp.csc_array(deviation + roughness)
-
-
-def _least_roll_of_any_lengths(task: LegTask, sign: float) -> float | None:
-    """Return the smallest roll [rad] that suffices for the reference or for other leg lengths."""
-    of_reference = task.least_roll(sign)
-    candidates: tuple[float, ...] = RESPLIT_CANDIDATES
-    if of_reference is not None:
-        candidates = (RESPLIT_RATIO * abs(of_reference),)
-    of_others = task.least_roll(sign, _margin_near_reference, candidates, RESPLIT_BISECTIONS)
-    return of_reference if of_others is None else of_others
-
-
-def _margin_near_reference(task: LegTask) -> float:
-    """Return the margin of the leg lengths found from the reference, at most the task's."""
-    return LegBodies.within_bounds(task).refined(task.reference, first=True).margin
 
 
 class Lines(NamedTuple):
