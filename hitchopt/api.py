@@ -29,8 +29,9 @@ from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
 from hitchopt.planners.candidates import error_of, outcome
 from hitchopt.planners.forming import SwapSettings
+from hitchopt.steps.keys import Legs, Polygon, SettleAtEnd
 from hitchopt.steps.moving import Morph
-from hitchopt.steps.step import Legs, Polygon, SettleAtEnd, Step
+from hitchopt.steps.step import Step
 from hitchopt.steps.tying import Assign, Form
 from hitchopt.storage.yaml_file import read_text
 from hitchopt.values import Points, check_instance, integer, path, positive, sequence, text

@@ -20,8 +20,8 @@ from hitchopt.planners.morph.morph import check_loads, check_shapes
 from hitchopt.planners.path import Path
 from hitchopt.planners.timing.following import following_motion
 from hitchopt.planners.timing.profile import TimingError
+from hitchopt.steps.keys import Legs, Polygon
 from hitchopt.steps.moving import Morph
-from hitchopt.steps.step import Legs, Polygon
 from hitchopt.values import check_instance, positive
 from hitchopt.values.fields import suggest_keywords
 

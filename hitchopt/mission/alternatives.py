@@ -21,7 +21,7 @@ from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.objects import Rim
 from hitchopt.planners.ends import RolledLegs
 from hitchopt.steps.hitch_step import ShapeStep
-from hitchopt.steps.step import DECIMALS, Edit
+from hitchopt.steps.knob import DECIMALS, Edit
 from hitchopt.values.fields import Key, keys_of, with_fields
 
 

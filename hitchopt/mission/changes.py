@@ -12,7 +12,7 @@ from hitchopt.drones.controllers import Tube
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.hitch import Quadrotor
 from hitchopt.mission.problem import Problem
-from hitchopt.steps.step import PLAN_DURATION, Edit, Edits, Knob
+from hitchopt.steps.knob import PLAN_DURATION, Edit, Edits, Knob
 from hitchopt.storage.yaml_file import split_key, with_value
 from hitchopt.values.fields import keys_of
 

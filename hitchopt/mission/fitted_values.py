@@ -18,7 +18,7 @@ from hitchopt.planners.candidates import Candidate, first_feasible
 from hitchopt.planners.carrying.polygons import EDGE_MARGIN
 from hitchopt.planners.fitting import separating_cables
 from hitchopt.planners.grasps import shortest_judge
-from hitchopt.steps.step import Knob
+from hitchopt.steps.knob import Knob
 
 MIN_SIZE = 0.005
 """Smallest relative change that is suggested."""

@@ -16,7 +16,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.changes import constraint_name, in_step, quadrotor_keys, step_of
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
-from hitchopt.steps.step import (
+from hitchopt.steps.knob import (
     DECIMALS,
     PLAN_DURATION,
     Edit,

@@ -27,7 +27,7 @@ from hitchopt.mission.problem import (
 )
 from hitchopt.objects import SolidObject
 from hitchopt.steps.flying import SWARM_PLACES, Fly
-from hitchopt.steps.step import TRIANGLE
+from hitchopt.steps.keys import TRIANGLE
 from hitchopt.storage.yaml_file import located, parse_yaml, plain, read_text, value_at
 from hitchopt.values import MAPPING, SYNONYMS, form_error, form_of
 from hitchopt.values.fields import (

@@ -11,7 +11,7 @@ from hitchopt.errors import Circumstance, FileError, InputError
 from hitchopt.geometry.drawings import read_drawing
 from hitchopt.hitch.requirements import MAX_CORNERS
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.steps.step import OBJECT_NAME, POINT3
+from hitchopt.steps.keys import OBJECT_NAME, POINT3
 from hitchopt.values import Array
 from hitchopt.values.fields import FLAGS, Key, dict_of, mapping_of, points, strings
 from hitchopt.values.units import (

@@ -34,17 +34,8 @@ from hitchopt.objects.placing import check_placed
 from hitchopt.planners.ends import SlackSplit
 from hitchopt.steps import STEP_KINDS, STEPS
 from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
-from hitchopt.steps.step import (
-    LEGS,
-    LEGS_TEXT,
-    TRIANGLE,
-    Legs,
-    Polygon,
-    Stage,
-    Step,
-    shown_legs,
-    slack_split,
-)
+from hitchopt.steps.keys import LEGS, LEGS_TEXT, TRIANGLE, Legs, Polygon, shown_legs, slack_split
+from hitchopt.steps.step import Stage, Step
 from hitchopt.steps.tying import Form, check_rollable
 from hitchopt.values import (
     Array,

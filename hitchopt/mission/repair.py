@@ -37,7 +37,7 @@ from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED
 from hitchopt.mission.trials import Trial, faults_of
 from hitchopt.planners.routes import BEST_ROUTE
-from hitchopt.steps.step import Knob
+from hitchopt.steps.knob import Knob
 from hitchopt.values import known
 
 BUDGET = 18.0

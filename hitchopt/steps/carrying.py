@@ -30,7 +30,9 @@ from hitchopt.planners.enclosing import (
 )
 from hitchopt.planners.routes import OBSTACLE_CHECKS
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
-from hitchopt.steps.step import Knob, ObjectOf, Place, Seconds, Stage, Step, Yaw, checks_relaxed_by
+from hitchopt.steps.keys import ObjectOf, Place, Seconds, Yaw
+from hitchopt.steps.knob import Knob, checks_relaxed_by
+from hitchopt.steps.step import Stage, Step
 from hitchopt.steps.straddling import Tie, Untie
 from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, documented, points, words

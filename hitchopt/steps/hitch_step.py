@@ -20,7 +20,8 @@ from hitchopt.planners.routes import (
     rolling_action_plan,
 )
 from hitchopt.planners.task import StepPlan, StepTask
-from hitchopt.steps.step import Legs, Step
+from hitchopt.steps.keys import Legs
+from hitchopt.steps.step import Step
 from hitchopt.values.fields import with_fields
 
 if TYPE_CHECKING:

@@ -26,30 +26,24 @@ from hitchopt.planners.routes import RouteSearch, plan_like, rigid_plan, straigh
 from hitchopt.planners.settling import settling_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.hitch_step import ActionStep, HitchStep, NonstopStep, ShapeStep
-from hitchopt.steps.step import (
+from hitchopt.steps.keys import (
     AUTO,
     AUTO_SECONDS,
     LEGS,
     LEGS_TEXT,
-    PLAN_DURATION,
     POINT2,
     POINT3,
     Blend,
-    Edit,
-    Edits,
-    Knob,
     Legs,
     LegsAtEnd,
     Polygon,
     Seconds,
     SettleAtEnd,
-    Stage,
-    Step,
     WhichPoint,
     Yaw,
-    checks_relaxed_by,
-    scaled_points,
 )
+from hitchopt.steps.knob import PLAN_DURATION, Edit, Edits, Knob, checks_relaxed_by, scaled_points
+from hitchopt.steps.step import Stage, Step
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Points, as_array, bounded_points, known, plain
 from hitchopt.values.fields import (

@@ -15,14 +15,9 @@ from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.hinge import EDGE, clasp_height
 from hitchopt.planners.carrying.planner import check_pull, tying_tension
 from hitchopt.planners.task import StepPlan, StepTask
-from hitchopt.steps.step import (
-    ALTITUDE_CHECKS,
-    Knob,
-    ObjectOf,
-    Seconds,
-    Stage,
-    Step,
-)
+from hitchopt.steps.keys import ObjectOf, Seconds
+from hitchopt.steps.knob import ALTITUDE_CHECKS, Knob
+from hitchopt.steps.step import Stage, Step
 from hitchopt.steps.tying import check_rollable
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array

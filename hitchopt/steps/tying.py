@@ -28,24 +28,19 @@ from hitchopt.planners.tying import (
     tyings,
     untyings,
 )
-from hitchopt.steps.step import (
+from hitchopt.steps.keys import (
     AUTO,
     INDEX,
     LEGS,
     LEGS_TEXT,
-    Edits,
-    Knob,
     Legs,
     Polygon,
     Seconds,
     SettleAtEnd,
-    Stage,
-    Step,
     WhichPoint,
-    altitude_knobs,
-    checks_relaxed_by,
-    scaled_outline_edit,
 )
+from hitchopt.steps.knob import Edits, Knob, altitude_knobs, checks_relaxed_by, scaled_outline_edit
+from hitchopt.steps.step import Stage, Step
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.values import Array, Indices, Points, known
 from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, points, words

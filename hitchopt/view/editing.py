@@ -29,7 +29,8 @@ from hitchopt.mission.teams import CertifiedFlight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEP_KINDS
-from hitchopt.steps.step import TRIANGLE, Edit
+from hitchopt.steps.keys import TRIANGLE
+from hitchopt.steps.knob import Edit
 from hitchopt.storage.yaml_file import (
     Plain,
     parse_yaml,

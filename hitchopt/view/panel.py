@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchopt.errors import HitchoptError
 from hitchopt.steps import STEP_KINDS
-from hitchopt.steps.step import Edit
+from hitchopt.steps.knob import Edit
 from hitchopt.storage.yaml_file import Plain, flow, parse_yaml, split_key, value_at
 from hitchopt.values.fields import keys_of
 from hitchopt.view.editing import START, Editing, Handle, PlanState, Status, step_key

@@ -16,7 +16,7 @@ from hitchopt.hitch.pairs import CROSSING, SEPARATION, TautBodies
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import layout_of
 from hitchopt.planners.ends import RolledLegs, split_hitch
-from hitchopt.steps.step import slack_split
+from hitchopt.steps.keys import slack_split
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
 from tests.helpers.clasp_balance import random_outline

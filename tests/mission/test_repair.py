@@ -27,8 +27,8 @@ from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair import Suggestion, find_suggestions
 from hitchopt.mission.solving import contents, solve_problem
 from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.steps.knob import Edit, altitude_knobs
 from hitchopt.steps.moving import Hold
-from hitchopt.steps.step import Edit, altitude_knobs
 from hitchopt.storage.yaml_file import read_yaml, split_key
 from hitchopt.verify import verify
 from tests.helpers.clocks import Clock

@@ -20,7 +20,7 @@ from hitchopt.mission.problem import STEP
 from hitchopt.mission.teams import CertifiedFlight
 from hitchopt.motion.states import flight_states_at
 from hitchopt.steps import STEPS
-from hitchopt.steps.step import Edit
+from hitchopt.steps.knob import Edit
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.view.editing import (
     START,
