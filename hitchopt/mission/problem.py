@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -73,16 +73,19 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
     Raises InputError, with a key from ``mission`` on, for a step that does not fit the team, the
     outline, the held object or the next step.
     """
-    whole, steps, objects = mission.team, mission.steps, mission.requirements.objects
+    whole = mission.team
+    steps = mission.steps
+    objects = mission.requirements.objects
     outline = mission.start_outline
-    resolved, stage = list[Step](), _ObjectStage()
+    resolved = list[Step]()
+    stage = _ObjectStage()
     reason = "start has no hitch" if outline is None else "start is a hitch"
     for i, unresolved in enumerate(steps):
         try:
             if unresolved.of_single_drones is whole.has_cables:
-                kind, *_, bound, _ = _words(whole)
-                other = Circumstance(f"{mission.name or 'this'} is {kind}")
-                raise InputError("", other, bound, f"use {bound}")
+                expected = words_of(whole)
+                other = Circumstance(f"{mission.name or 'this'} is {expected.kind}")
+                raise InputError("", other, expected.step, f"use {expected.step}")
             is_two = whole.layout.closed and whole.robots == 2
             if is_two and not unresolved.of_two_robots:
                 names = ", ".join(kind.name for kind in STEPS if kind.of_two_robots)
@@ -92,7 +95,8 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
                 raise InputError("", other, bound, remedy)
             step = unresolved.resolved_for(whole)
             stage = stage.after(step, objects)
-            before, outline = outline, step.checked_polygon_after(whole, outline, reason)
+            before = outline
+            outline = step.checked_polygon_after(whole, outline, reason)
             if step.rolls_pairs:
                 check_rollable(f"step {i} ({step.name})", whole)
             if (before is None) is not (outline is None):
@@ -104,14 +108,35 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
     return tuple(resolved)
 
 
-def _words(team: Team) -> tuple[str, str, str, str, str]:
-    """Return words for a kind of team, its start with an example, and its step with an example."""
-    if team.has_cables:
-        kind, start = "a team of robots", "{hitch: {polygon: [[x, y], …], altitude: 1}}"
-        return kind, "a hitch, or drones q and r", start, f"a step of {kind}", "hold: {seconds: 1}"
-    start = "a list of positions [x, y, z], one per drone"
-    step = "fly, the only step of single drones"
-    return "a team of single drones", start, "[[x, y, z], …]", step, "fly: {goal: …}"
+class TeamWords(NamedTuple):
+    """Words for a kind of team in errors, and what its start and its steps are."""
+
+    kind: str
+    start: str
+    start_example: str
+    step: str
+    step_example: str
+
+
+ROBOTS = TeamWords(
+    kind="a team of robots",
+    start="a hitch, or drones q and r",
+    start_example="{hitch: {polygon: [[x, y], …], altitude: 1}}",
+    step="a step of a team of robots",
+    step_example="hold: {seconds: 1}",
+)
+SINGLE_DRONES = TeamWords(
+    kind="a team of single drones",
+    start="a list of positions [x, y, z], one per drone",
+    start_example="[[x, y, z], …]",
+    step="fly, the only step of single drones",
+    step_example="fly: {goal: …}",
+)
+
+
+def words_of(team: Team) -> TeamWords:
+    """Return the words for a team."""
+    return ROBOTS if team.has_cables else SINGLE_DRONES
 
 
 @dataclass(frozen=True)
@@ -136,7 +161,8 @@ class _ObjectStage:
             kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
             remedy = f"{kinds} an object, in this order; two robots tie, lift, carry, "
             remedy += "set_down and untie"
-            current, required = str(self.stage), str(begin)
+            current = str(self.stage)
+            required = str(begin)
             if Stage.OPEN in (self.stage, begin):
                 remedy, tied = "open_vertex, then hold or close_vertex", "no open vertex"
                 current, required = (x.replace(Stage.FREE, tied) for x in (current, required))
@@ -157,7 +183,8 @@ class _ObjectStage:
 
 def _check_blend(steps: tuple[Step, ...], i: int) -> None:
     """Raise InputError if step i cannot continue into the next one, or has options of its own."""
-    step, following = steps[i], steps[i + 1 : i + 2]
+    step = steps[i]
+    following = steps[i + 1 : i + 2]
     if step.blends and not following:
         raise InputError("blend", True, "false in the last step", "omit it: nothing follows")
     if step.blends and following and not following[0].blendable:
@@ -195,6 +222,15 @@ class HitchStart(Record):
         split: SlackSplit = vars(self)["legs"]
         return split
 
+    def resolved_for(self, team: Team) -> HitchStart:
+        """Return the start for a team: polygon as an outline, legs as an array."""
+        try:
+            outline = checked_polygon(team, self.polygon)
+            legs = slack_split(self.legs, team)
+        except InputError as error:
+            raise error.within("start.hitch") from None
+        return replace(self, polygon=outline, legs=legs)
+
 
 _PLACES = points((None, 3), "x, y, z", 2, MAX_ROBOTS)
 
@@ -220,6 +256,23 @@ class DronesStart(Record):
     def drones(self) -> Array:
         """Starts of all drones (2n, 3) [m]: q0, r0, q1, r1, …."""
         return np.stack([self.q, self.r], axis=1).reshape(-1, 3)
+
+    def resolved_for(self, team: Team) -> DronesStart:
+        """Return the start, or raise InputError for another number of robots.
+
+        Warns of drones that are much farther apart than their cable is long.
+        """
+        for drones, places in vars(self).items():
+            if len(places) != team.robots:
+                key = f"start.drones.{drones}"
+                raise count_error(key, len(places), team.robots, "one per robot")
+        distances = np.linalg.norm(self.q - self.r, axis=1)
+        k = int(np.argmax(distances / team.cable_length))
+        if distances[k] > UNIT_ERROR_RATIO * team.cable_length[k]:
+            words = f"{distances[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
+            remedy = "if millimetres were meant, write metres"
+            warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {remedy}"))
+        return self
 
 
 Start = HitchStart | Hitch | DronesStart
@@ -264,7 +317,7 @@ class TeamMission:
         check_placed(self.requirements.objects, self.requirements.floor)
         if not self.steps and self.name:
             value = f"no step of {self.name}"
-            remedy = f"add {self.name}: {{{_words(self.team)[-1]}}}"
+            remedy = f"add {self.name}: {{{words_of(self.team).step_example}}}"
             raise InputError("mission", value, "of at least one item", remedy)
         if not self.steps:
             bound = "a list of at least one step"
@@ -308,8 +361,9 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
     """
     is_hitch = isinstance(start, HitchStart | Hitch | DronesStart)
     if is_hitch is not team.has_cables or isinstance(start, Missing):
-        _, bound, example, *_ = _words(team)
-        raise InputError("start", start, bound, f"write {name or 'start'}: {example}")
+        expected = words_of(team)
+        remedy = f"write {name or 'start'}: {expected.start_example}"
+        raise InputError("start", start, expected.start, remedy)
     if not team.has_cables:
         places: Array = SWARM_PLACES.check("start", start)
         check_count("start", places, team)
@@ -318,26 +372,11 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
         key = f"teams.{name}.robots" if name else "team.robots"
         remedy = "start two robots with drones, and tie their cables around an object"
         raise InputError(key, 2, "at least 3 if the start is a hitch", remedy)
-    if isinstance(start, Hitch):
-        if start.team is not team:
-            other = Circumstance("the hitch is of another team")
-            raise InputError("start", other, "a hitch of the problem's team", "use its team")
-        return start
-    if isinstance(start, HitchStart):
-        try:
-            outline, legs = checked_polygon(team, start.polygon), slack_split(start.legs, team)
-        except InputError as error:
-            raise error.within("start.hitch") from None
-        return replace(start, polygon=outline, legs=legs)
-    for drones, places in vars(start).items():
-        if len(places) != team.robots:
-            raise count_error(f"start.drones.{drones}", len(places), team.robots, "one per robot")
-    distances = np.linalg.norm(start.q - start.r, axis=1)
-    k = int(np.argmax(distances / team.cable_length))
-    if distances[k] > UNIT_ERROR_RATIO * team.cable_length[k]:
-        words = f"{distances[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
-        remedy = "if millimetres were meant, write metres"
-        warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {remedy}"))
+    if not isinstance(start, Hitch):
+        return start.resolved_for(team)
+    if start.team is not team:
+        other = Circumstance("the hitch is of another team")
+        raise InputError("start", other, "a hitch of the problem's team", "use its team")
     return start
 
 
@@ -403,6 +442,19 @@ def _no_step(key: str, value: object) -> InputError:
     kind = STEP_KINDS.get(value) if isinstance(value, str) else None
     example = "hitchopt.Hold(1.0)" if kind is None else f"hitchopt.{kind.__name__}(…)"
     return InputError(key, value, "a step", f"write it as a record, such as {example}")
+
+
+class PlacedStep(NamedTuple):
+    """A step of one of several teams, with its place in the file."""
+
+    key: str
+    """Key of the step, such as ``mission[0].left[1]``."""
+
+    step: Step
+    """The step."""
+
+    ends_item: bool
+    """Whether it is the team's last step in its item of the mission."""
 
 
 @documented
@@ -561,16 +613,17 @@ class Problem(ByValue):
         check_placed(self.objects, missions[0].requirements.floor)
         return dict(zip(names, missions, strict=True))
 
-    def _steps(self, name: str) -> list[tuple[str, Step, bool]]:
-        """Return the steps of a team with their keys, and whether each is the last of its item."""
-        steps = list[tuple[str, Step, bool]]()
+    def _steps(self, name: str) -> list[PlacedStep]:
+        """Return the steps of a team with their places in the file."""
+        steps = list[PlacedStep]()
         for i, item in enumerate(self.mission):
-            key, own = f"mission[{i}].{name}", item.get(name, ())
+            key = f"mission[{i}].{name}"
+            own = item.get(name, ())
             if isinstance(own, Step):
-                steps.append((key, own, True))
-            else:
-                last = len(own) - 1
-                steps += [(f"{key}[{j}]", step, j == last) for j, step in enumerate(own)]
+                steps.append(PlacedStep(key, own, ends_item=True))
+                continue
+            for j, step in enumerate(own, 1):
+                steps.append(PlacedStep(f"{key}[{j - 1}]", step, ends_item=j == len(own)))
         return steps
 
     def _owners(self) -> dict[str, str]:
@@ -587,9 +640,11 @@ class Problem(ByValue):
 
     def _named_mission(self, name: str, owners: Mapping[str, str]) -> TeamMission:
         """Return the mission of one of several teams."""
-        team, start, steps = self.team[name], self.start.get(name, Missing()), self._steps(name)
-        for key, step, is_last in steps:
-            if is_last and step.blends:
+        team = self.team[name]
+        start = self.start.get(name, Missing())
+        steps = self._steps(name)
+        for key, step, ends_item in steps:
+            if ends_item and step.blends:
                 bound = "false in the last step of an item"
                 remedy = "omit it: the next item begins when all rest"
                 raise InputError(f"{key}.{step.name}.blend", True, bound, remedy)
@@ -597,10 +652,12 @@ class Problem(ByValue):
         requirements = self._requirements(team, bodies)
 
         def with_name(key: str) -> str:
-            key = re.sub(r"^mission\[(\d+)\]", lambda match: steps[int(match[1])][0], key)
+            key = re.sub(r"^mission\[(\d+)\]", lambda match: steps[int(match[1])].key, key)
             return re.sub(r"^start\b", f"start.{name}", re.sub(r"^team\b", f"teams.{name}", key))
 
         try:
-            return TeamMission(name, team, start, tuple(x for _, x, _ in steps), requirements)
+            return TeamMission(
+                name, team, start, tuple(placed.step for placed in steps), requirements
+            )
         except InputError as error:
             raise error.renamed(with_name) from None
