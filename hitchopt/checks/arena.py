@@ -222,7 +222,7 @@ def _arena_remedy(motion: Motion, check: Check) -> str:
     change = f"move the wall outward ({wall}), or keep the hitch farther from it"
     if wall == FLOOR:
         is_start = check.time <= motion.drones.breaks[0]
-        change = f"{'start or ' * is_start}fly higher above the floor"
+        change = f"{'start or ' if is_start else ''}fly higher above the floor"
     elif wall == CEILING:
         change = f"raise the ceiling ({wall}), or fly lower"
     places = motion.drones.at(motion.drones.breaks)[..., :2]

@@ -168,7 +168,7 @@ def test_the_plan_of_the_show_is_that_of_its_problem() -> None:
 
 def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Path) -> None:
     data = changed(("others",), {"show": {"plan": "show", "at": 2}})
-    with pytest.raises(ho.InputError, match=r"^others\.show = .*No plan in"):
+    with pytest.raises(ho.InputError, match=r"^others\.show: .*No plan in"):
         problem_from_dict(data, tmp_path)
     motion = planned("swarms/show").motion
     (tmp_path / "show").mkdir()
