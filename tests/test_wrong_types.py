@@ -23,6 +23,7 @@ from hitchopt.lab.flights.recordings import Track
 from hitchopt.lab.statics.tolerance import ErrorSize
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.others import Other
+from hitchopt.outline_fit import _section_of
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps import STEPS, Step
 from hitchopt.steps.moving import Hold, Morph, Transport
@@ -286,7 +287,7 @@ READ = [
     lambda x: ho.Hitch.spread(TEAM, x).vertices,
     lambda x: ho.ConvexPolygon(x).vertices,
     lambda x: ho.Section(x).outline,
-    pytest.param(lambda x: ho.fit(x, robots=3).section.outline, marks=pytest.mark.slow),
+    lambda x: _section_of(x)[0].outline,  # as fit reads it
     lambda x: ho.Path.of(TEAM, [x, x, x]).shapes([0.5]).polygons,
     lambda x: ho.ConvexPolygon(ho.Morph(x).polygon).vertices,
     lambda x: ho.Prism(x, 0.0, 1.0).polygon.vertices,

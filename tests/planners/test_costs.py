@@ -81,6 +81,7 @@ def test_a_cost_sees_the_hitch_in_motion() -> None:
     assert plan.duration + stated_cost(plan) == pytest.approx(objective_of(plan), rel=0.01)
 
 
+@pytest.mark.slow
 def test_legs_of_their_own_and_tensions_follow_a_cost() -> None:
     start = ho.Hitch(TEAM, SQUARE, 1.0, [0.4, 0.8, 0.4, 0.8])
     path = ho.route(

@@ -257,6 +257,7 @@ def test_edges_of_a_resting_polygon_keep_off_the_stem_below_the_rim() -> None:
     assert refused.violations[0].constraint == "support"
 
 
+@pytest.mark.slow
 def test_the_enclosing_polygon_is_the_one_that_enclose_takes() -> None:
     fitted = ho.fit(BOX, 4, tension=1.0, limits=ho.Limits(tilt=math.radians(60)), compared=())
     assert fitted.enclosing is not None
