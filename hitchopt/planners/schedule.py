@@ -549,9 +549,9 @@ class Schedule:
         feasible = np.ones(len(starts), np.bool_)
         for other in placed:
             table = self._table(track, other.track)
-            at_rests = table[np.ix_([0, -1], [0, -1])]
-            # Rests that are closer than the pad cannot be moved apart, and need no pad
-            needed = np.clip(np.min(at_rests), 0.0, pad)
+            # Starts or ends that are closer than the pad cannot be moved apart, and need no pad
+            both_at_rest = table[[0, -1], [0, -1]]
+            needed = np.clip(np.min(both_at_rest), 0.0, pad)
             samples_of_other = other.track.samples(clock - other.start)
             too_close = table[samples, samples_of_other] < needed
             remaining = feasible & ~np.any(too_close, axis=1)
