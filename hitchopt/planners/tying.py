@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from hitchopt.planners.forming.circles import CircleSize
     from hitchopt.planners.forming.laying import Laying
     from hitchopt.planners.forming.prehitch import PreHitch
+
+T = TypeVar("T")
 
 CABLE_MARGINS = (1.5, 1.25)
 """Preferred clearances of drones from cables during tightening, in ``separation.cable``."""
@@ -125,9 +127,10 @@ def tyings(
         laying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
         return require_certified(tied_plan(task, laying, goal))
 
-    def directly(settings: SwapSettings) -> StepPlan:
-        """Return the plan that ties the goal."""
-        tying = find_prehitch(goal, requirements, settings).clear_of_ground(requirements)
+    def directly(settings: SwapSettings, larger_errors: float) -> StepPlan:
+        """Return the plan that ties the goal, planned for larger errors [m]."""
+        needed = requirements.with_larger_errors(larger_errors)
+        tying = find_prehitch(goal, needed, settings).clear_of_ground(needed)
         return require_certified(tied_plan(task, tying, goal))
 
     def on_circle(tying: PreHitch) -> StepPlan:
@@ -139,7 +142,7 @@ def tyings(
         yield Candidate("laying", partial(by_laying, levels))
         return
     for way in swap_ways(swap):
-        yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
+        yield with_larger_errors(f"{way.name}swaps", partial(directly, way.settings))
         for tying in tyings_on_circles(goal, requirements, way):
             yield Candidate(f"{way.name}circle", partial(on_circle, tying))
 
@@ -166,11 +169,13 @@ def untyings(task: StepTask) -> Iterator[Candidate[StepPlan]]:
         laid = find_laying(split, levels, requirements).clear_of_ground(requirements)
         return untied_plan(task, laid, split)
 
-    def directly(swap: SwapSettings) -> StepPlan:
-        """Return the plan that unties the hitch as it is."""
-        tying = find_prehitch(hitch, requirements, swap).with_senses(senses)
-        plan = untied_plan(task, tying.clear_of_ground(requirements), hitch)
-        return require_untied(plan, senses)
+    def directly(swap: SwapSettings, larger_errors: float) -> StepPlan:
+        """Return the plan that unties the hitch as it is, planned for larger errors [m]."""
+        needed = requirements.with_larger_errors(larger_errors)
+        tying = find_prehitch(hitch, needed, swap).with_senses(senses)
+        plan = require_untied(untied_plan(task, tying.clear_of_ground(needed), hitch), senses)
+        require_tracking(plan.motion, task.stated)
+        return plan
 
     def on_circle(tying: PreHitch) -> StepPlan:
         """Return the plan that unties a hitch on a circle in its place."""
@@ -181,7 +186,7 @@ def untyings(task: StepTask) -> Iterator[Candidate[StepPlan]]:
         yield Candidate("laying", partial(by_laying, task.before.levels))
         return
     for way in swap_ways(task.before.swap):
-        yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
+        yield with_larger_errors(f"{way.name}swaps", partial(directly, way.settings))
         for tying in tyings_on_circles(hitch, requirements, way):
             yield Candidate(f"{way.name}circle", partial(on_circle, tying))
 
@@ -256,7 +261,7 @@ def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan
     tied = concatenated(tying.stages(requirements, task.index))
     if tying.doubtful:  # no approach helps if tying is infeasible
         require_certified(StepPlan(tied, task.before))
-        require_tracking(tied, task.stated)
+    require_tracking(tied, task.stated)
     motions = [approach_motion(task, tying.drones_hanging), tied]
     if abs(tying.hitch.altitude - goal.altitude) > ALTITUDE_TOLERANCE:
         lower = Phase("lower", task.index, 0.0, 0.0, HEIGHT_REMARK)
@@ -360,22 +365,11 @@ def approach_motion(task: StepTask, goal: Array) -> Motion:
         require_tracking(motion, task.stated)
         return motion
 
-    def candidate(kind: type[Approach], larger_errors: float = 0.0) -> Candidate[Motion]:
-        """Return the candidate of a kind of approach."""
-
-        def with_larger_errors(error: InfeasibleError) -> Candidate[Motion] | None:
-            """Return the approach that is planned for the errors that this one lacks, if few."""
-            missing = missing_radius(error)
-            larger = larger_errors + max(ERROR_FACTOR * missing, MIN_LARGER_ERRORS)
-            return candidate(kind, larger) if missing and larger <= MAX_LARGER_ERRORS else None
-
-        name = f"{kind.name}{' with larger errors' if larger_errors else ''}"
-        return Candidate(name, partial(certified, kind, larger_errors), with_larger_errors)
-
     kinds: list[type[Approach]] = [DirectApproach, GatheredApproach]
     if requirements.objects:
         kinds.append(OverApproach)
-    return first_certified(map(candidate, kinds), task.effort, task.progress)
+    ways = (with_larger_errors(kind.name, partial(certified, kind)) for kind in kinds)
+    return first_certified(ways, task.effort, task.progress)
 
 
 def flight_over(task: StepTask, spots: Array, *, in_order: bool) -> StepPlan:
@@ -432,14 +426,34 @@ def rolled_plan(task: StepTask, end: Array, phase: Phase) -> StepPlan:
 
 
 MIN_LARGER_ERRORS = 1e-3
-"""[m] Smallest increase of errors for which an approach is planned again."""
+"""[m] Smallest increase of errors for which free cables are planned again."""
 
 ERROR_FACTOR = 2.0
-"""Factor on the missing radius of tracking errors by which an approach is planned for larger ones:
+"""Factor on the missing radius of tracking errors by which free cables are planned for larger ones:
 heights of hanging cables grow faster than errors."""
 
 MAX_LARGER_ERRORS = 0.05
-"""[m] Largest increase of errors for which an approach is planned."""
+"""[m] Largest increase of errors for which free cables are planned."""
+
+
+def with_larger_errors(
+    name: str, planner: Callable[[float], T], larger_errors: float = 0.0
+) -> Candidate[T]:
+    """Return a candidate that is amended to one for the tracking errors that it lacks, if few.
+
+    ``planner`` returns the certified plan for errors larger by a distance [m].
+    """
+
+    def amended(error: InfeasibleError) -> Candidate[T] | None:
+        """Return the candidate for larger errors."""
+        missing = missing_radius(error)
+        larger = larger_errors + max(ERROR_FACTOR * missing, MIN_LARGER_ERRORS)
+        if not missing or larger > MAX_LARGER_ERRORS:
+            return None
+        return with_larger_errors(name, planner, larger)
+
+    whole_name = f"{name}{' with larger errors' if larger_errors else ''}"
+    return Candidate(whole_name, partial(planner, larger_errors), amended)
 
 
 def missing_radius(error: InfeasibleError) -> float:

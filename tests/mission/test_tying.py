@@ -308,3 +308,11 @@ def test_two_teams_lay_their_cables_beside_each_other(tmp_path: Path) -> None:
     for team in plan.flight.teams:
         assert "roll" in {phase.name for phase in team.motion.phases}
     assert {row.verdict for row in opinion_of(plan.flight, tmp_path)} == {"proven"}
+
+
+def test_a_hitch_is_untied_with_the_errors_that_a_first_plan_lacks() -> None:
+    """A first plan is short of these errors by half a millimetre."""
+    team = ho.Team(3, 1.45, cable_density=0.0015, quadrotor="crazyflie_2.1_brushless")
+    start = ho.HitchStart([[0, 0.4], [0.35, -0.2], [-0.35, -0.2]], 1.2)
+    plan = ho.solve(start, ho.Release(), team=team, limits=ho.Limits(tracking=0.05))
+    assert plan.certificate["tracking_radius"].worst >= 0.05
