@@ -511,6 +511,49 @@ def test_edges_that_turn_a_standing_crate_are_counted() -> None:
     assert GripHold.tied(team, body, wide, 0.3).largest_push(np.full(2, 0.5)) < 1e-9
 
 
+@pytest.mark.parametrize("name", ["draw", "loosen"])
+def test_cables_do_not_slide_along_an_object_as_they_are_drawn_and_loosened(name: str) -> None:
+    """Both would turn it by friction, in the same sense: a cup by 120°, a crate by 26°.
+
+    The length from a contact to the drone at its end changes as much as at the other end.
+    """
+    drawn = part(cycle().motion, name, name)
+    t = np.linspace(0.0, drawn.duration, 40)
+    vertices, contacts = drawn.vertices.at(t), drawn.contacts.at(t)
+    pairs = drawn.drones.at(t).reshape(contacts.shape)
+    clasps = np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=2)
+    to_drones = np.linalg.norm(clasps - contacts, axis=-1) + np.linalg.norm(pairs - clasps, axis=-1)
+    assert np.all(np.ptp(to_drones, axis=0) > 0.05)
+    assert np.all(np.ptp(to_drones[..., 0] - to_drones[..., 1], axis=0) < 2e-3)
+
+
+def rounded(corners: list[list[float]], radius: float, sides: int) -> list[list[float]]:
+    """Clockwise corners, rounded by some sides each."""
+    points, outline = np.array(corners), list[list[float]]()
+    neighbours = np.roll(points, 1, axis=0), points, np.roll(points, -1, axis=0)
+    for before, corner, after in zip(*neighbours, strict=True):
+        onward, ahead = ((x - y) / math.dist(x, y) for x, y in ((corner, before), (after, corner)))
+        turn = math.acos(float(onward @ ahead))
+        angles = math.atan2(onward[0], -onward[1]) - turn * np.arange(sides + 1) / sides
+        bisector = (ahead - onward) / math.dist(ahead, onward)
+        centre = corner + radius / math.cos(0.5 * turn) * bisector
+        round_off = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        outline += (centre + round_off).tolist()
+    return outline
+
+
+OCTAGON = [
+    [0.14 * math.cos(-k), 0.14 * math.sin(-k)] for k in math.pi * (0.25 * np.arange(8) + 0.1)
+]
+
+
+@pytest.mark.parametrize("radius", [1e-4, pytest.param(5e-3, marks=pytest.mark.slow)])
+def test_rounded_corners_are_no_sides_that_cables_meet(radius: float) -> None:
+    """Cables pass the short sides of rounded corners while they are pitched, as on a disc."""
+    body = {**prism(8, 0.1), "outline": rounded(OCTAGON, radius, 4), "mass": 0.05}
+    assert ho.solve(problem([TIE], body)).certificate.certified
+
+
 def test_narrow_outlines_are_refused_before_anything_is_planned() -> None:
     box = [[-0.07, -0.05], [-0.07, 0.05], [0.07, 0.05], [0.07, -0.05]]
     words = r"cable_clearance: 0\.1\d+ m is below the limit of 0\.2 m as cables bend.*circle"

@@ -400,6 +400,25 @@ class GripHold(HoldingHitch):
             open_fractions=halves,
         )
 
+    def _slack(self, polygon: Array) -> Array:
+        """Return the lengths (n,) [m] of both legs of cables around the object, without sag."""
+        return self.team.cable_length - wraps_around(self.body.section, polygon).lengths
+
+    @property
+    def leg_differences(self) -> Array:
+        """(n,) [m]: lengths of q-legs over those of r-legs."""
+        return (2.0 * self.fractions - 1.0) * self._slack(self.polygon)
+
+    def drawn_from(self, around: Array, leg_differences: Array) -> GripHold:
+        """Return the grip that is drawn from clasps ``around`` (n, 2) [m].
+
+        Both legs of a cable grow by the same length, so that it does not slide along the object,
+        which it would turn by friction. Their ``leg_differences`` (n,) [m] remain.
+        """
+        open_fractions = 0.5 + 0.5 * leg_differences / self._slack(around)
+        fractions = 0.5 + 0.5 * leg_differences / self._slack(self.polygon)
+        return replace(self, around=around, open_fractions=open_fractions, fractions=fractions)
+
     @property
     def travel(self) -> float:
         """Longest path [m] of a clasp from around the object to the grip."""
@@ -514,8 +533,10 @@ class GripHold(HoldingHitch):
             edge_lengths = edge_lengths + sag * spans
 
         slack = team.cable_length - edge_lengths
-        split_change = closure[..., None] * (self.fractions - self.open_fractions)
-        q_legs = (self.open_fractions + split_change) * slack
+        opened = self.opened.leg_differences
+        differences = opened + closure[..., None] * (self.leg_differences - opened)
+        level_slack = team.cable_length - edges.wraps.lengths
+        q_legs = (0.5 + 0.5 * differences / level_slack) * slack
         roll = state.between(*move.roll)[..., None] if np.any(move.roll) else None
         loads = clasp_loads(team, q_legs, slack, roll)
         directions = leg_directions(

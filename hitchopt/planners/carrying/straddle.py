@@ -43,6 +43,13 @@ PITCHED_SHARE = 0.6
 MAX_PITCHED = 0.5
 """Largest bend up to which cables are pitched."""
 
+SHORT_SIDE = 3e-3
+"""[m] Longest side of a rounded corner. Where a pitched cable passes one, its straight part moves
+across by the side's length times the pitch, within what checks of lengths and forces permit."""
+
+BEND_DECIMALS = 9
+"""Decimal places of bends at events: those of symmetric cables are the same."""
+
 ITERATIONS = 8
 """Fixed-point steps of the length of edges, whose sag changes as they bend."""
 
@@ -153,22 +160,32 @@ class Straddle:
         return np.asarray(np.argmax(normals @ self.hold.body.section.core.T, axis=-1))
 
     @cached_property
-    def events(self) -> list[float]:
-        """Bends, from 0 to 1, at which an edge meets another corner, where drones rest."""
+    def _met_sides(self) -> dict[float, float]:
+        """Lengths [m] of the longest sides that edges lie along, by bends between 0 and 1."""
+        met = dict[float, float]()
         sides = self.hold.body.section.sides
-        bends = {0.0, 1.0}
-        if len(sides) == 1:
-            return sorted(bends)
         along_sides = sides[:, 1] - sides[:, 0]
+        side_lengths = length(along_sides)
         side_angles = np.arctan2(along_sides[:, 1], along_sides[:, 0])
         axis_angles = np.arctan2(self._axes[:, 1], self._axes[:, 0])
         for cable, end in np.ndindex(self.turns.shape):
             turns_to_sides = (side_angles - axis_angles[cable]) * TURN_SENSES[end]
             turns_to_sides = (turns_to_sides + math.pi) % (2.0 * math.pi) - math.pi
-            bends_at_sides = turns_to_sides / self.turns[cable, end]
-            between = (bends_at_sides > MIN_BEND) & (bends_at_sides < 1.0 - MIN_BEND)
-            bends.update(bends_at_sides[between].tolist())
-        return sorted(bends)
+            bends = np.round(turns_to_sides / self.turns[cable, end], BEND_DECIMALS)
+            between = (bends > MIN_BEND) & (bends < 1.0 - MIN_BEND) & (side_lengths > 0.0)
+            for bend, side in zip(bends[between].tolist(), side_lengths[between], strict=True):
+                met[bend] = max(met.get(bend, 0.0), float(side))
+        return met
+
+    @cached_property
+    def events(self) -> list[float]:
+        """Bends, from 0 to 1, at which an edge meets another corner, where drones rest."""
+        return sorted({0.0, 1.0, *self._met_sides})
+
+    @property
+    def _long_sides(self) -> list[float]:
+        """Bends at which edges lie along sides that are no parts of rounded corners."""
+        return [bend for bend, side in self._met_sides.items() if side > SHORT_SIDE]
 
     @cached_property
     def largest_pitched(self) -> float:
@@ -183,17 +200,24 @@ class Straddle:
 
     @property
     def _level(self) -> float:
-        """Bend of the last event before cables are pitched: those along sides are horizontal."""
-        return max(bend for bend in self.events if bend < self.largest_pitched - MIN_BEND)
+        """Bend of the last side before cables are pitched: those along sides are horizontal."""
+        before = (bend for bend in self._long_sides if bend < self.largest_pitched - MIN_BEND)
+        return max(before, default=0.0)
 
     @property
     def sides_passed(self) -> list[float]:
-        """Bends of events at which cables are pitched, and edges would leave the next side."""
-        return [bend for bend in self.events[1:-1] if bend >= self.largest_pitched - MIN_BEND]
+        """Bends at which cables are pitched, and edges would leave the next side."""
+        return [bend for bend in self._long_sides if bend >= self.largest_pitched - MIN_BEND]
 
     def _corners_of(self, change: PlaceChange) -> Indices:
         """Return the corners (n, 2) about which edges bend during a change of the place."""
         return self._corners(0.5 * (change.start.bend + change.end.bend))
+
+    def _corners_beyond(self, place: Place, change: PlaceChange) -> Indices:
+        """Return the corners (n, 2) about which edges bend before or after a change, at its end."""
+        bends = [each.bend for each in self.bent]
+        index = bends.index(place.bend) + (1 if place == change.end else 0)
+        return self._corners(0.5 * (bends[max(index - 1, 0)] + bends[index]))
 
     def curves(self, change: PlaceChange, t: Array) -> dict[str, Array]:
         """Return all curves of a change of the place at times t (…) [s], in the world."""
@@ -219,6 +243,9 @@ class Straddle:
         contacts = self._contacts(directions, corners, beside, above)
         along, across, upward = self._leg_axes(directions, pitch)
         anchors = contacts + lengths[..., None] * along
+        shift_at_start = self._shift(change.start, change)
+        shift_change = self._shift(change.end, change) - shift_at_start
+        anchors += shift_at_start + progress[..., None, None] * shift_change
         axes = np.stack([along, across, upward], axis=-2)
         drones = anchors + np.sum(self._legs[..., None] * axes, axis=-2)
         if is_straight:  # a single point
@@ -271,13 +298,10 @@ class Straddle:
         if place.beside > 0.0 or place in (self.crossed, self.laid):
             return np.zeros(self.hold.team.robots)
         corners = self._corners_of(change)
-        corners_before = self._corners(place.bend - 0.5 * MIN_BEND)
-        corners_after = self._corners(place.bend + 0.5 * MIN_BEND)
-        is_after = np.array_equal(corners_after, corners)
-        corners_beyond = corners_before if is_after else corners_after
         touches = place == self.touching
         is_straight = touches and max(change.start.beside, change.end.beside) > 0.0
         is_straight_beyond = touches and not is_straight
+        corners_beyond = self._corners_beyond(place, change)
 
         bend = np.array(place.bend)
         directions = self._directions(bend) * math.cos(place.pitch)
@@ -288,6 +312,27 @@ class Straddle:
             edges_beyond, directions, corners_beyond, straight=is_straight_beyond
         )
         return np.asarray(0.5 * (sag_beyond - sag))
+
+    def _shift(self, place: Place, change: PlaceChange) -> Array:
+        """Return half of the jump of anchors (n, 2, 3) [m] at an end of a change of the place.
+
+        Pitched straight parts leave the contacts' height at the next corner instead. As for sag,
+        the changes before and after meet halfway.
+        """
+        if place.pitch == 0.0 or place.beside > 0.0 or place == self.crossed:
+            return np.zeros((*self.turns.shape, 3))
+        own = self._corners_of(change)
+        beyond = self._corners_beyond(place, change)
+        level = np.array(0.0)
+        bend = np.array(place.bend)
+        directions = self._directions(bend)
+        along, _, _ = self._leg_axes(directions, np.array(place.pitch))
+        anchors = [
+            self._contacts(directions, corners, level, level)
+            + self._edges(bend, corners)[..., None] * along
+            for corners in (own, beyond)
+        ]
+        return np.asarray(0.5 * (anchors[1] - anchors[0]))
 
     def _edges(self, bend: Array, corners: Indices) -> Array:
         """Return the lengths (…, n, 2) [m] of the straight parts of edges without their sag.

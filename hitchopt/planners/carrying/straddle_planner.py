@@ -80,7 +80,7 @@ SAMPLED_LAW = SmoothLaw(0.5)
 SAMPLES = 21
 """Number of samples of a change of the place."""
 
-MIN_TRAVEL = 1e-6
+MIN_TRAVEL = 1e-3
 """[m] Smallest path of drones by which limits of a change of the place are divided."""
 
 SLOWING_RESERVE = 1.01
@@ -368,7 +368,8 @@ def find_straddle(
     """Return the planner of the first path that keeps distances, or of the one nearest to that.
 
     Clasps are tied so far from the object that drones which turn about each other keep clear of the
-    ground, and are then drawn to those of ``hold``.
+    ground, and are then drawn to those of ``hold``. Cables of a grip that is tied already keep
+    the difference of their legs.
 
     Parameters
     ----------
@@ -391,14 +392,18 @@ def find_straddle(
     level_cables = Catenary.spanning(longest_spans(team, requirements), 0.0, team.cable_length)
     beside = _distance_beside(hold, requirements, [level_cables, *before])
 
+    is_tied = bool(np.any(hold.leg_differences))
+    shares = SHORT_SHARES[:1] if is_tied else SHORT_SHARES
+
     def candidates() -> Iterator[tuple[float, StraddlePlanner]]:
-        for scale, share in product(SCALES, SHORT_SHARES):
+        for scale, share in product(SCALES, shares):
             around = centre + scale * aligned
             slack = team.cable_length - wraps_around(hold.body.section, around).lengths
-            shortest_leg = np.min(share * slack)
+            differences = hold.leg_differences if is_tied else (2.0 * share - 1.0) * slack
+            shortest_leg = 0.5 * np.min(slack - np.abs(differences))
             if scale > 1.0 and shortest_leg < requirements.limits.leg + MIN_RADIAL:
                 continue
-            grip = replace(hold, around=around, open_fractions=np.full(2, share))
+            grip = hold.drawn_from(around, differences)
             grasp = GraspState(name, HoldPolygons(around, hold.polygon), tension, grip)
             level = Straddle(grip, tension, pitch=0.0, beside=beside)
             yield from StraddlePlanner(grasp, requirements, step, level).candidates()
