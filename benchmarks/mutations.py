@@ -125,7 +125,7 @@ MUTATIONS = (
     Mutation("/verify/tying.py", "np.where(errs[s.piece, None], 2.0 * p.tracking, 0.0)", "0.0 * errs[s.piece, None]", "verify/test_limits.py::test_hanging_cables_are_longer_than_chords_with_errors", "errors of drones in spans dropped"),
     Mutation("/verify/spans.py", "verdict = \"violated\" if worst < target else \"not proven\"", "verdict = \"violated\" if worst < target else \"proven\"", "verify/test_verify.py::test_what_stays_undecided_is_not_proven", "what is not decided is proven"),
     Mutation("/verify/spans.py", "effort.spent > effort.allowed", "False", "verify/test_forged_files.py::test_proofs_share_their_effort", "no effort of all proofs"),
-    Mutation("/verify/arithmetic.py", "turn = n > self.deviation, self.slope * self.deviation", "turn = n > self.deviation, 0.0 * self.deviation", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "turns of directions dropped"),
+    Mutation("/verify/arithmetic.py", "turn = self.slope * self.deviation", "turn = 0.0 * self.deviation", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "turns of directions dropped"),
     Mutation("/verify/arithmetic.py", "+ self.slope * o.deviation\n", "\n", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "a term of products dropped"),
     Mutation("/verify/arithmetic.py", "q = np.max(np.abs(ends), 0) * self.q + q", "q = np.abs(slope[:, 0]) * self.q + q", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "slopes of functions at midpoints alone"),
     Mutation("/verify/arithmetic.py", "np.max(np.where(candidate, rate, 0.0), axis=0)", "q[at]", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "minima of several taken for one"),

@@ -91,7 +91,8 @@ def solve(
         "others": others,
         "keep_out": sequence("keep_out", keep_out) or None,
     }
-    source, added = "", sequence("rules", rules)
+    source = ""
+    added = sequence("rules", rules)
     if mission is not None and not isinstance(start, Problem | str | Path):
         stated["team"] = _own_team(start) if team is None else team
         steps = (mission,) if isinstance(mission, Step | Mapping) else mission
@@ -350,7 +351,8 @@ def form(
         order=order,
         duration=duration,
     )
-    seconds, start = _seconds(limit), DronesStart(q, r)
+    seconds = _seconds(limit)
+    start = DronesStart(q, r)
     check_instance("team", team, Team)
     problem = step_problem(team, start, step, limits, separation, arena)
     with step_errors(step):

@@ -280,17 +280,21 @@ def fit(
 
 def _section_of(outline: Any) -> tuple[Section, list[str]]:
     """Return the convex section of an outline, and notes on it."""
-    notes, source = list[str](), ""
+    notes = list[str]()
+    source = ""
     if isinstance(outline, int | float | np.number) and not isinstance(outline, bool):
         outline = Section(radius=float(outline))
     if isinstance(outline, Section) and outline.radius is not None:
         return outline, [f"outline: circle of radius {outline.radius:.4g} m"]
     if isinstance(outline, str | Path):
-        drawing, source = read_drawing(outline), f", of {Path(outline).name}"
-        outline, notes = drawing.outline, list(drawing.notes)
+        drawing = read_drawing(outline)
+        source = f", of {Path(outline).name}"
+        outline = drawing.outline
+        notes = list(drawing.notes)
     elif hasattr(outline, "__geo_interface__"):
         drawing = drawing_of_geometry(outline)
-        outline, notes = drawing.outline, list(drawing.notes)
+        outline = drawing.outline
+        notes = list(drawing.notes)
     remedy = "specify points in metres, a radius, or a drawing"
     corners = outline.core if isinstance(outline, Section) else outline
     corners = points("outline", corners, (3, 2), "a list of at least 3 points [x, y]", remedy)
@@ -388,7 +392,8 @@ def _grip_of(task: FitTask, held: _Held | InfeasibleError) -> Grip | InfeasibleE
     """Return the grip that is held, or the error that there is none."""
     if isinstance(held, InfeasibleError):
         return held
-    clasps, cable = held.polygons.clasps, held.cable_length
+    clasps = held.polygons.clasps
+    cable = held.cable_length
     return Grip.of(task.section, clasps, cable, task.tension, task.clasp_friction)
 
 

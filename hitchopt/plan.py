@@ -134,7 +134,8 @@ class Plan(OneLine):
     def _distance_notes(self) -> Iterator[str]:
         """Yield a note if no tracking errors are stated, and distances leave room for none."""
         for each in self.flight.teams:
-            team, limits = each.motion.team, each.motion.requirements.limits
+            team = each.motion.team
+            limits = each.motion.requirements.limits
             if team.tracking is not None or limits.tube.largest > 0.0:
                 return
         worst = {check.name: check.worst for check in self.certificate.checks}

@@ -259,7 +259,8 @@ def write_setpoints(
     path: Path, flight: Flight, rate: float, progress: Progress | None = None
 ) -> None:
     """Write one row per sample at ``rate`` [Hz] and drone, by time, then drone; yaw is 0."""
-    times, team = sample_times(flight.duration, rate), flight.team
+    times = sample_times(flight.duration, rate)
+    team = flight.team
     names = team.listed_names
 
     def blocks() -> Iterator[tuple[Array, Array]]:
@@ -280,7 +281,8 @@ def write_vertices(path: Path, flight: Flight, rate: float) -> None:
     times = sample_times(flight.duration, rate)
 
     def blocks(part: Motion, t: Array, points: int) -> Iterator[tuple[Array, Array]]:
-        breaks, size = part.drones.breaks, max(1, ROWS // points)
+        breaks = part.drones.breaks
+        size = max(1, ROWS // points)
         plan_times = np.minimum(breaks[0] + t, breaks[-1])
         formed = part.formed[np.searchsorted(breaks[1:-1], plan_times, side="right")]
         t, plan_times = t[formed], plan_times[formed]
@@ -327,7 +329,8 @@ def write_rows(
 def data_frame(flight: Flight, rate: float) -> DataFrame:
     """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone."""
     pandas = optional_module("pandas", "data frames need", "pandas")
-    times, names = sample_times(flight.duration, rate), flight.team.listed_names
+    times = sample_times(flight.duration, rate)
+    names = flight.team.listed_names
     states = flight_states_at(flight, times).listed(flight.team)
     values = _values(states).reshape(len(times) * len(names), -1)
     phases = [f"{phase.name} ({i})" for i, phase in enumerate(flight.phases)]

@@ -118,8 +118,11 @@ def export_flight(
     Raises CertificateError if the certificate does not hold, InputError for an invalid option, and
     InfeasibleError if the format cannot hold the plan, or violates a limit; nothing is written.
     """
-    say, flight = progress or (lambda _: None), saved.flight
-    kind, roles, place = format_of(options.format), flight.team.listed_names, Path(folder)
+    say = progress or (lambda _: None)
+    flight = saved.flight
+    kind = format_of(options.format)
+    roles = flight.team.listed_names
+    place = Path(folder)
     plan = flight.stretched(options.stretch)
     if options.rate is not None and kind.rate == 0.0:
         bound = f"omitted for {kind.name}"
@@ -161,7 +164,8 @@ def export_flight(
 def tracking_notes(flight: Flight) -> Iterator[str]:
     """Yield a note if ``limits.tracking`` is the error of a simulated controller."""
     for each in flight.teams:
-        tube, team = each.motion.requirements.limits.tube, each.motion.team
+        tube = each.motion.requirements.limits.tube
+        team = each.motion.team
         if team.tracking is None or Tube.of(team.tracking) != tube:
             continue
         if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
@@ -227,7 +231,8 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
     """
     if not task.options.positions_only:
         return task
-    planned, lags = task.without_offsets or task.flight, _lags(task.flight, task.options)
+    planned = task.without_offsets or task.flight
+    lags = _lags(task.flight, task.options)
     speed = largest_rate(task.flight.drones, 1).worst
     own = Tube.enclosing(_own_errors(each.motion) for each in planned.teams) or Tube.of(None)
 
@@ -291,7 +296,8 @@ def _check_gains(kind: Format, team: Team, options: ExportOptions) -> None:
     if options.positions_only and not kind.flown_by:
         bound = f"omitted for {kind.name}"
         raise InputError("positions_only", True, bound, "its files are not flown")
-    controllers, is_used = _controllers(team), kind.needs_stiffness or kind.has_gains
+    controllers = _controllers(team)
+    is_used = kind.needs_stiffness or kind.has_gains
     is_used |= options.hold_tension or options.positions_only
     for option in ("stiffness", "damping"):
         if (value := getattr(options, option)) is None:
@@ -312,7 +318,8 @@ def _export_task(
     If tensions cannot be held, they are lost if ``allow_slack`` is set; otherwise InfeasibleError
     is raised, with a remedy.
     """
-    policy, may_lose = _policy(kind, task), task.options.allow_slack
+    policy = _policy(kind, task)
+    may_lose = task.options.allow_slack
     if not policy.slack_reason:
         try:
             held = _with_offsets(task) if policy.needs_offsets else task
@@ -573,7 +580,8 @@ def _move_exports(
     A folder gets the copy of the ``plan`` and README.txt, too. Raises FileError if files that are
     not of an earlier export would go.
     """
-    first, several = exports[0], len(exports) > 1
+    first = exports[0]
+    several = len(exports) > 1
     if _is_file(place, kind):
         if several or len(first.files) > 1 or Path(first.files[0]).suffix != place.suffix.lower():
             bound = f"a folder for {kind.name}, or a name with its only file's suffix"

@@ -104,7 +104,8 @@ def settings_findings(
 
     Its robots must have the parameters of the manifest, or else those of the filter.
     """
-    types, roles = mapping_at(settings, "robot_types"), mapping_at(manifest or {}, "drones")
+    types = mapping_at(settings, "robot_types")
+    roles = mapping_at(manifest or {}, "drones")
     exported = mapping_at(mapping_at(manifest or {}, "receiver"), "parameters")
     by_robot = {str(name): mapping_at(exported, role) for role, name in roles.items()}
     for name, robot in mapping_at(settings, "robots").items():

@@ -166,7 +166,8 @@ class ExportTask:
             yield states.t, self._samples(states.listed(self.flight.team))
 
     def _samples(self, states: States) -> dict[str, Array]:
-        frame, mass = self.frame, self.masses[:, None]
+        frame = self.frame
+        mass = self.masses[:, None]
         rotated, heading = frame.vectors, frame.heading
         share = 0.0 if self.holds_tension else 1.0
         false_pull = self.flight.team.false_pull[self.order]

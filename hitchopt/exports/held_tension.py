@@ -131,7 +131,8 @@ def trailing_times(stiffness: Array, damping: Array, mass: Array) -> Array:
     with a damping ratio ζ below 1 have: with ω² = k/m, its roots decay by ``a = ζ ω`` and turn by
     ``w = √(ω² - a²)``, and ``∫ g`` from its n-th root on is ``± exp(-a t) / ω``.
     """
-    omega, decay = np.sqrt(stiffness / mass), 0.5 * damping / mass
+    omega = np.sqrt(stiffness / mass)
+    decay = 0.5 * damping / mass
     overshoots = decay < omega
     turn = np.sqrt(np.where(overshoots, omega**2 - decay**2, 1.0))
     first = (0.5 * np.pi + np.arctan2(decay, turn)) / turn
@@ -185,7 +186,8 @@ def _team_setpoints(
     drones = PiecewisePolynomial(
         breaks, positions + bernstein.elevate(offsets.coefficients, degree)
     )
-    limits, factor = split.requirements.limits.with_reserve, 1.0 + LIMIT_MARGIN
+    limits = split.requirements.limits.with_reserve
+    factor = 1.0 + LIMIT_MARGIN
     widened = replace(  # limits that shows declare must hold for setpoints
         limits,
         speed=max(limits.speed, factor * largest_rate(drones, 1).worst),
@@ -213,11 +215,15 @@ def _solve_offsets(
     times[:, len(x) - 1] = breaks[1:]  # exactly the start of the next piece
     forces = states_at(motion, times - breaks[0]).held_forces(motion.team.false_pull)
     right_sides = np.moveaxis(-forces / stiffness, 1, -1)  # (pieces, 2n, 3, points)
-    first, second = damping / stiffness, motion.team.mass[:, None] / stiffness
+    first = damping / stiffness
+    second = motion.team.mass[:, None] / stiffness
     coefficients = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
-    value, slope, residual = right_sides[0, ..., 0], np.zeros_like(right_sides[0, ..., 0]), 0.0
+    value = right_sides[0, ..., 0]
+    slope = np.zeros_like(right_sides[0, ..., 0])
+    residual = 0.0
     for c, h, right in zip(coefficients, durations.tolist(), right_sides, strict=True):
-        a, b = (first / h)[..., None, None], (second / h**2)[..., None, None]
+        a = (first / h)[..., None, None]
+        b = (second / h**2)[..., None, None]
         rows = basis[0] + a * basis[1] + b * basis[2]  # the equation's left side, by coefficients
         c[..., :2] = np.stack([value, value + h * slope / DEGREE], axis=-1)
         rest = right - (rows[..., :2] @ c[..., :2, None])[..., 0]
@@ -225,7 +231,8 @@ def _solve_offsets(
         c[..., 2:] = solution[..., 0]
         residuals = ((rows @ c[..., None])[..., 0] - right)[..., len(x) :]
         residual = max(residual, float(np.max(np.linalg.norm(residuals, axis=1))))
-        value, slope = c[..., -1], DEGREE / h * (c[..., -1] - c[..., -2])
+        value = c[..., -1]
+        slope = DEGREE / h * (c[..., -1] - c[..., -2])
     return PiecewisePolynomial(breaks, coefficients), residual
 
 

@@ -201,7 +201,8 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
     for role in roles:
         if role not in drones:
             raise InputError(root, role, "named once, in the fleet", _role_remedy(roles))
-    members, types = tuple(drones[role] for role in roles), keys.types or keys.robot_types
+    members = tuple(drones[role] for role in roles)
+    types = keys.types or keys.robot_types
     return Fleet(members, types, keys.settings or keys.all, is_placeholder=False)
 
 

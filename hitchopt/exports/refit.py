@@ -66,7 +66,8 @@ def _fit_piece(
     curves: PiecewisePolynomial, kind: PieceKind, start: float, end: float
 ) -> tuple[Array, float]:
     """Return the coefficients (N + 1, D * 3) of one piece, and its largest error over the scale."""
-    h, count = end - start, kind.interpolated
+    h = end - start
+    count = kind.interpolated
     basis, hermite, solver = _matrices(kind.degree, count)
     # Values and two derivatives by the piece's parameter, (3, FIT_POINTS, D * 3).
     jet = np.moveaxis(curves.jet(start + bernstein.nodes(FIT_POINTS - 1) * h, 3), -1, 0)
@@ -107,7 +108,8 @@ def fit_breaks(
     step = max(1, curves.shape[0] // MAX_FIT_DRONES)
     sample = PiecewisePolynomial(curves.breaks, curves.coefficients[:, ::step])
     sample = held_until(sample, last * kind.quantum)
-    ticks, stride = [0], max(1, last // 8)
+    ticks = [0]
+    stride = max(1, last // 8)
 
     def fits(stride: int) -> bool:
         span = (ticks[-1] * kind.quantum, (ticks[-1] + stride) * kind.quantum)
@@ -125,7 +127,9 @@ def fit_breaks(
 
 def _longest_stride(fits: Callable[[int], bool], max_stride: int, guess: int) -> int:
     """Return the longest stride that fits, by doubling from a guess and bisection."""
-    good, bad, stride = 1, max_stride + 1, min(guess, max_stride)
+    good = 1
+    bad = max_stride + 1
+    stride = min(guess, max_stride)
     while good < max_stride and bad - good > max(1, good // 64):
         if stride > good:
             good, bad = (stride, bad) if fits(stride) else (good, stride)

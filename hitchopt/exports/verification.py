@@ -95,7 +95,8 @@ class Verdict:
             when = f"at t = {check.time:.4g} s (the plan keeps {values})"
             remedy = SLOWER_REMEDY if rule.derivative > 0 else MARGIN_REMEDY
             violations.append(check.violation(when, remedy))
-        worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
+        worst = self.position.worst
+        when = f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher rate= if it samples"
             where = (self.position.drone,)
@@ -153,7 +154,9 @@ def verify(
     carried = [rule for rule in rules if rule.derivative <= contents.smooth + 1]
     if contents.smooth < ACCELERATION.derivative:
         carried = [rule for rule in carried if rule is not ACCELERATION]
-    checks, deviations, end = list[Check | None](), list[list[Deviation]](), 0.0
+    checks = list[Check | None]()
+    deviations = list[list[Deviation]]()
+    end = 0.0
     for window in contents.windows():
         start = float(window.breaks[0])
         if abs(start - end) > JOINT:
@@ -192,7 +195,8 @@ def _exported(
 
     ``written`` are curves of each team's drones.
     """
-    start, end = float(breaks[0]), float(breaks[-1])
+    start = float(breaks[0])
+    end = float(breaks[-1])
     others = tuple(replace(x, motion=slice_time(x.motion, start, end)) for x in flight.others)
     planned, exported = list[TeamMotion](), list[TeamMotion]()
     for flown, curves in zip(flight.teams, written, strict=True):
@@ -233,7 +237,8 @@ def _rates(flight: Flight, contents: FileContents) -> str:
 
 def _plan_between(motion: Motion, breaks: Array) -> Motion:
     """Return the plan over the span of ``breaks``, with these breaks, at rest after its end."""
-    start, end = float(breaks[0]), float(breaks[-1])
+    start = float(breaks[0])
+    end = float(breaks[-1])
     inner = motion.drones.breaks
     common = merged_breaks([breaks, inner[(inner > start) & (inner < end)]])
 

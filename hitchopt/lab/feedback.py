@@ -113,17 +113,20 @@ class Feedback(OneLine):
             raise unsupported(Feature.FEEDBACK, Neighbour.KEEP_OUTS)
         if motion.requirements.objects:
             raise unsupported(Feature.FEEDBACK, Neighbour.OBJECTS)
-        self.motion, team = motion, motion.team
+        self.motion = motion
+        team = motion.team
         self._rate, self._delay = positive("rate", rate), nonnegative("delay", delay)
         default = STIFFNESS_PER_MASS * team.mass[:, None]
         own = np.where(np.isfinite(team.stiffness), team.stiffness, default)
         stiff = own if stiffness is None else as_array("stiffness", stiffness)
-        self._listed, numbers = team.listed, np.argsort(team.listed)
+        self._listed = team.listed
+        numbers = np.argsort(team.listed)
         if stiff.shape != own.shape:
             stiff = per_robot("stiffness", stiffness, team.drones, owner="drone")  # type: ignore[arg-type]
         stiff = own if stiffness is None else stiff[numbers]
         breaks, self._cells = cells_of(motion, nonnegative("reserve", reserve), stiff)
-        self._breaks, self._end = breaks.tolist(), float(breaks[-1])
+        self._breaks = breaks.tolist()
+        self._end = float(breaks[-1])
         self._spans = [s.drones.breaks[[0, -1]].tolist() for s in motion.spans(HITCHED_STATE)]
         clasps = motion.vertices.coefficients[:, team.layout.clasps]
         self._drones = Sampler(motion.drones)
@@ -180,7 +183,8 @@ class Feedback(OneLine):
         """
         seconds = nonnegative("seconds", seconds)
         time = min(max(finite("time", time), 0.0), self._end)
-        setpoints, cell = self._drones.values(time), self._cell(time)
+        setpoints = self._drones.values(time)
+        cell = self._cell(time)
         if seconds > 0.0:
             if vertices is not None:
                 at = time - self._delay if measured is None else finite("measured", measured)
@@ -236,7 +240,8 @@ class Feedback(OneLine):
             desired = (cell.inverse @ correction.ravel()).reshape(-1, 3)
             goal = cell.projected(desired)
         change = goal - self._offsets
-        largest, max_change = math.sqrt(((change * change) @ ONES).max()), self._rate * seconds
+        largest = math.sqrt(((change * change) @ ONES).max())
+        max_change = self._rate * seconds
         if largest > max_change:
             change *= max_change / largest
         offsets = self._offsets + change
@@ -341,7 +346,9 @@ def cells_of(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, l
     travel = np.sum(np.linalg.norm(np.diff(c, axis=-1), axis=2), axis=-1).max(axis=1)
     counts = np.clip(np.ceil(travel / MAX_CELL_TRAVEL), 1, MAX_CELLS).astype(int).tolist()
     nodes = np.concatenate(positions(motion)[::-1], axis=1)
-    distances, times, spaces = _Distances(motion, reserve), [], list[tuple[Array, ...] | None]()
+    distances = _Distances(motion, reserve)
+    times = []
+    spaces = list[tuple[Array, ...] | None]()
     for piece, (count, is_formed) in enumerate(zip(counts, motion.formed, strict=True)):
         times.append(np.linspace(breaks[piece], breaks[piece + 1], count + 1)[:-1])
         for k in range(count):
@@ -366,7 +373,8 @@ class _Distances:
     """The certificate's distances while the hitch holds, of pairs as in ``TautBodies``."""
 
     def __init__(self, motion: Motion, reserve: float) -> None:
-        layout, need = motion.team.layout, motion.requirements
+        layout = motion.team.layout
+        need = motion.requirements
         bodies = TautBodies.of(layout)
         i, j = np.triu_indices(len(bodies.nodes), 1)
         kind = bodies.kind(i, j)
@@ -387,7 +395,8 @@ class _Distances:
 
     def half_spaces(self, nodes: Array) -> tuple[Array, Array, Array, Array]:
         """Return rows, bounds, lower and upper of a cell, from its nodes (…, 3, N + 1)."""
-        drones, scale = nodes[self._points :], self._scale
+        drones = nodes[self._points :]
+        scale = self._scale
         midpoints = bernstein.evaluate(nodes, 0.5)
         ends = (midpoints[each] * scale[:, None] for each in (self._first, self._second))
         offset = shortest_offset(differences(*ends))
@@ -398,15 +407,19 @@ class _Distances:
         n = offset[pair] / distance[pair, None] * scale[pair]
         projection = np.einsum("pd,pdk->pk", n, nodes[a] - nodes[b]).min(axis=-1)
         bound = projection - self._limit[pair] - 2.0 * self._reserve * np.linalg.norm(n, axis=-1)
-        row, each = np.zeros((len(pair), len(nodes), 3)), np.arange(len(pair))
+        row = np.zeros((len(pair), len(nodes), 3))
+        each = np.arange(len(pair))
         row[each, b] += n
         row[each, a] -= n
         row = row[:, self._points :]
         relative = (row - row.mean(axis=1, keepdims=True)).reshape(len(pair), -1)
-        length, bound = np.linalg.norm(relative, axis=1), np.maximum(bound, 0.0)
+        length = np.linalg.norm(relative, axis=1)
+        bound = np.maximum(bound, 0.0)
         used = (length > 0.0) & (bound < np.sqrt(2.0) * MAX_OFFSET * length)
-        rows, bounds = relative[used] / length[used, None], bound[used] / length[used]
-        lower, upper = np.full(3, -MAX_SHIFT), np.full(3, MAX_SHIFT)
+        rows = relative[used] / length[used, None]
+        bounds = bound[used] / length[used]
+        lower = np.full(3, -MAX_SHIFT)
+        upper = np.full(3, MAX_SHIFT)
         if self._arena is not None:
             margin = self._reserve + MAX_OFFSET
             lower = np.clip(self._arena.lower - drones.min(axis=(0, 2)) + margin, lower, 0.0)

@@ -232,7 +232,8 @@ class Aborts:
 
     def holds(self, entry: Abort) -> bool:
         """Return whether an abort from a file continues this plan from a rest, and is certified."""
-        followed, stopped = entry.flight, entry.start + entry.seconds
+        followed = entry.flight
+        stopped = entry.start + entry.seconds
         try:
             ends = followed.drones.at(stopped), self.flight.drones.at(entry.rest)
             continues = np.max(np.abs(ends[0] - ends[1])) <= JOINT
@@ -402,7 +403,9 @@ def until_stop(flight: Flight, time: float, *, stop: bool = True) -> StoppedPlan
     Without ``stop``, the time is a rest of the plan, which ends there. The result has no limit on
     its duration.
     """
-    whole, player, parts = flight.untimed, Player(flight, time), list[Flight]()
+    whole = flight.untimed
+    player = Player(flight, time)
+    parts = list[Flight]()
     seconds = player.pause() if stop else 0.0
     clock = player.ahead
     player.step(seconds)
@@ -470,8 +473,10 @@ def _extended(whole: Motion, motion: Motion) -> Motion:
 
 def straight_down(whole: Motion) -> Motion:
     """Return the vertical landing of drones without a hitch, from the end of a motion."""
-    team, need = whole.team, replace(whole.requirements, objects=objects_at(whole, -1))
-    drones, index = whole.drones.coefficients[-1, ..., -1], whole.phases[-1].step + 1
+    team = whole.team
+    need = replace(whole.requirements, objects=objects_at(whole, -1))
+    drones = whole.drones.coefficients[-1, ..., -1]
+    index = whole.phases[-1].step + 1
     ground = drones * [1.0, 1.0, 0.0] + [0.0, 0.0, need.floor]
     flight = straight_lines(team, need.limits.with_reserve, drones, ground)
     state = CableState.GROUND if team.has_cables else CableState.NONE
@@ -480,7 +485,8 @@ def straight_down(whole: Motion) -> Motion:
 
 def _turning_senses(whole: Motion) -> Array | None:
     """Return the senses in which pairs turned to form the hitch (clasps,): 1 if q rose first."""
-    layout, phases = whole.team.layout, whole.phases
+    layout = whole.team.layout
+    phases = whole.phases
     pairs = enumerate(pairwise(phases))
     laid = [i for i, (a, b) in pairs if a.state is CableState.LAYING and b.formed]
     tying = next((phase for phase in phases if phase.state is CableState.CLASPING), None)
@@ -507,7 +513,8 @@ class AbortTable:
     @classmethod
     def unplanned(cls, flight: Flight, how: str, every: float = DEFAULT_INTERVAL) -> AbortTable:
         """Return the table of a plan whose aborts, one ``every`` [s] or so, are not planned yet."""
-        end, every = flight.duration, positive("every", every)
+        end = flight.duration
+        every = positive("every", every)
         return cls(how, (), end, pending=_command_times(end, every), every=every)
 
     @property
@@ -555,7 +562,8 @@ def abort_table(
     flight: Flight, how: str, every: float = DEFAULT_INTERVAL, progress: Progress | None = None
 ) -> AbortTable:
     """Return aborts from all times of a plan, with an entry about ``every`` [s] of plan time."""
-    table, aborts = AbortTable.unplanned(flight, how, every), Aborts(flight)
+    table = AbortTable.unplanned(flight, how, every)
+    aborts = Aborts(flight)
     while table.pending:
         if progress is not None:
             progress(f"{how} from t = {table.pending[0]:.4g} s, {table.planned:.0%}")

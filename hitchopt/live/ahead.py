@@ -53,12 +53,15 @@ def outcomes(
 
     ``saved`` tables have entries that are certified again instead of planned.
     """
-    aborts, known = Aborts(flight), {how: saved_entries(table) for how, table in saved.items()}
+    aborts = Aborts(flight)
+    known = {how: saved_entries(table) for how, table in saved.items()}
     tables = {how: replanned(table) for how, table in saved.items()}
     while any(table.pending for table in tables.values()):
-        now, pending = clock.value, [table for table in tables.values() if table.pending]
+        now = clock.value
+        pending = [table for table in tables.values() if table.pending]
         table = min(pending, key=lambda each: (next_time(each, now) < now, each.planned))
-        how, time = table.how, next_time(table, now)
+        how = table.how
+        time = next_time(table, now)
         entry = aborts.find(time, how, known[how].get(time))
         tables[how] = tables[how].with_outcome(time, entry)
         yield how, time, entry
@@ -91,7 +94,8 @@ class AbortsAhead:
 
     def __init__(self, flight: Flight, saved: Mapping[str, AbortTable]) -> None:
         self._context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads
-        self._flight, self._saved = flight, dict(saved)
+        self._flight = flight
+        self._saved = dict(saved)
         self._receiver, self._sender = self._context.Pipe(duplex=False)
         self.tables = {how: replanned(table) for how, table in saved.items()}
         self.clock: Clock = self._context.Value("d", 0.0)

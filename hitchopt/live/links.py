@@ -80,7 +80,8 @@ class Operator:
 
     def commands(self) -> tuple[list[str], bool]:
         """Return the commands since the last call, and whether the operator is connected."""
-        commands, self._pending = self._pending, []
+        commands = self._pending
+        self._pending = []
         if self._input is not None and select.select([self._input], [], [], 0.0)[0]:
             data = b""
             with suppress(OSError):  # the terminal was closed
@@ -98,7 +99,8 @@ class Operator:
         if key not in "\r\n":
             self._lost += key
             return []
-        robot, self._lost = self._lost.strip(), None
+        robot = self._lost.strip()
+        self._lost = None
         return [f"lose {robot}"] if robot else []
 
     @contextmanager
@@ -153,7 +155,9 @@ class DatagramOutlet(ABC):
         frame: ReferenceFrame,
         listen: Address,
     ) -> None:
-        self._names, self._addresses, self._frame = tuple(names), tuple(addresses), frame
+        self._names = tuple(names)
+        self._addresses = tuple(addresses)
+        self._frame = frame
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -207,7 +211,9 @@ class JsonOutlet(DatagramOutlet):
 
     def send(self, targets: FleetSetpoints, now: float) -> None:
         """Send each drone its setpoint."""
-        frame, at, attitude = self._frame, targets.setpoints, _attitudes(targets, self._frame)
+        frame = self._frame
+        at = targets.setpoints
+        attitude = _attitudes(targets, self._frame)
         rows = {
             "position": frame.points(at.positions),
             "velocity": frame.vectors(at.velocities),
@@ -320,7 +326,8 @@ class CrazyflieOutlet:
         except ImportError as error:
             remedy = "source the setup of a ROS 2 workspace with Crazyswarm2 first"
             raise UnsupportedError(f"Crazyflies need crazyflie_py ({error}); {remedy}") from None
-        self._node, self._frame = client.Crazyswarm().allcfs, frame
+        self._node = client.Crazyswarm().allcfs
+        self._frame = frame
         fleet = self._node.crazyfliesByName
         for robot in robots:
             if robot not in fleet:
@@ -378,7 +385,8 @@ class CrazyflieOutlet:
         """Return the received positions (3,) [m] in the plan's axes, by drone names."""
         for _ in range(4 * len(self._robots)):
             self._spin_once()
-        positions, self._positions = self._positions, {}
+        positions = self._positions
+        self._positions = {}
         return positions
 
     def arm(self) -> None:

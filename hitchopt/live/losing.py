@@ -348,7 +348,8 @@ def _level_hitch(reaction: Reaction) -> Hitch:
     Its clasps roll as before. Only the weight of cables makes it another one.
     """
     chain = reaction.chain
-    tied, layout = chain.motion.team, chain.motion.team.layout
+    tied = chain.motion.team
+    layout = chain.motion.team.layout
     legs = np.linalg.norm(reaction.drones - reaction.vertices[layout.anchors], axis=1)
     before = fitted_hitch(tied, reaction.drones, reaction.vertices, legs.reshape(-1, 2))
     roll = before.roll[np.searchsorted(layout.clasps, chain.points[1:-1])]
@@ -391,7 +392,9 @@ def _leaving(reaction: Reaction, planned: Motion, reacts: float) -> Motion:
 
 def _aside(reaction: Reaction) -> Array:
     """Return the move (3,) [m] of the lost robot's drones away from all others, above them."""
-    drones, lost, need = reaction.drones, reaction.chain.lost, reaction.chain.need
+    drones = reaction.drones
+    lost = reaction.chain.lost
+    need = reaction.chain.need
     middle = np.mean(drones, axis=0)
     outward = unit((np.mean(drones[lost], axis=0) - middle) * [1.0, 1.0, 0.0])
     level = np.concatenate([drones, reaction.balanced])[:, :2] - middle[:2]

@@ -99,7 +99,8 @@ class Reactions:
 
         Raises InfeasibleError with the limit that binds.
         """
-        motion, names = self.motion, self.motion.team.drone_names
+        motion = self.motion
+        names = self.motion.team.drone_names
         if drone not in names:
             raise InputError(
                 "drone", drone, f"one of {', '.join(motion.team.listed_names)}", "name a drone"
@@ -108,12 +109,15 @@ class Reactions:
             raise InputError(
                 "t", time, f"within {motion.duration:g} s", "choose a time within the plan"
             )
-        states, lost = states_at(motion, time), names.index(drone)
-        descent, start = self._motion_after(float(time)), min(time + DELAY, motion.duration)
+        states = states_at(motion, time)
+        lost = names.index(drone)
+        descent = self._motion_after(float(time))
+        start = min(time + DELAY, motion.duration)
         if bool(states.formed):
             thrust, nearest = self._check_swing(lost, states)
         else:
-            thrust, nearest = 0.0, self._check_fall(descent.drones, time, start, lost)
+            thrust = 0.0
+            nearest = self._check_fall(descent.drones, time, start, lost)
         thrust = max(largest_at_rest(motion, thrust_share), thrust)
         if thrust > 1.0:
             raise _no_reaction(
@@ -142,8 +146,10 @@ class Reactions:
 
     def _check_swing(self, lost: int, states: States) -> tuple[float, float]:
         """Return thrust ratio and nearest distance of a hitch whose lost drone swings."""
-        team, partner = self.motion.team, lost ^ 1
-        points, others = team.layout.pulled_to, np.arange(team.drones) != lost
+        team = self.motion.team
+        partner = lost ^ 1
+        points = team.layout.pulled_to
+        others = np.arange(team.drones) != lost
         near_loss = others & ((points == points[lost]) | (np.arange(team.drones) == partner))
         thrusts = GRAVITY * np.hypot(team.mass, team.mass[lost]) / team.max_thrust
         leg = states.positions[partner] - states.vertices[points[partner]]
@@ -177,7 +183,8 @@ class Reactions:
         self, drones: PiecewisePolynomial, time: float, start: float, lost: int
     ) -> float:
         """Return the nearest distance to a lost drone that falls freely."""
-        team, floor = self.motion.team, self.motion.requirements.floor
+        team = self.motion.team
+        floor = self.motion.requirements.floor
         at_loss = self.motion.drones.at(time)[lost], self.motion.drones.at(time, 1)[lost]
         times, fall = free_fall(*at_loss, floor)
         survivors = drones.at(np.minimum(time + times, drones.breaks[-1]))
@@ -208,7 +215,8 @@ def _no_reaction(time: float, reason: str) -> InfeasibleError:
 
 def free_fall(position: Array, velocity: Array, floor: float) -> tuple[Array, Array]:
     """Return times (k,) [s] and positions (k, 3) [m] of a free fall to the ground."""
-    height, up = position[2] - floor, velocity[2]
+    height = position[2] - floor
+    up = velocity[2]
     duration = (up + np.sqrt(max(up**2 + 2.0 * GRAVITY * height, 0.0))) / GRAVITY
     times = np.append(np.arange(0.0, duration, FALL_STEP), duration)
     positions = position + times[:, None] * velocity
@@ -238,7 +246,8 @@ def _with_descent(motion: Motion, time: float) -> tuple[Motion, Check | None]:
 
 def _with_common_descent(motion: Motion) -> Motion:
     """Return a plan with a descent of the whole team until a drone or cable is on the ground."""
-    depth, limits = height_above_floor(resting(motion, 1.0)), motion.requirements.limits
+    depth = height_above_floor(resting(motion, 1.0))
+    limits = motion.requirements.limits
     if depth <= GROUND_TOLERANCE:
         return motion
     bounds = (LIMIT_SHARE * bound for bound in (limits.speed, limits.acceleration, limits.jerk))
@@ -269,10 +278,12 @@ def survivable(
 
     It is sampled, not a bound for all times. Spans without a reaction are listed.
     """
-    reactions, names = Reactions(motion), motion.team.drone_names
+    reactions = Reactions(motion)
+    names = motion.team.drone_names
     spans: dict[str, list[UnsurvivableSpan]] = {name: [] for name in names}
     count = max(MIN_SAMPLES, round(motion.duration / positive("every", every)))
-    edges, refused = np.linspace(0.0, motion.duration, count + 1).tolist(), 0
+    edges = np.linspace(0.0, motion.duration, count + 1).tolist()
+    refused = 0
     for start, end in pairwise(edges):
         time = 0.5 * (start + end)
         if progress is not None:
@@ -287,7 +298,8 @@ def survivable(
                 else:
                     found.append(UnsurvivableSpan(name, start, end, str(error)))
     without = [each for found in spans.values() for each in found]
-    share, where = 1.0 - refused / (count * len(names)), dict.fromkeys(x.drone for x in without)
+    share = 1.0 - refused / (count * len(names))
+    where = dict.fromkeys(x.drone for x in without)
     time = min((each.start for each in without), default=0.0)
     worst = WorstCase(share, time, tuple(where))
     return replace(worst.check(SURVIVABLE, None), method="sampled"), without

@@ -161,7 +161,8 @@ class Player(OneLine):
         slide the other way, and the legs would have to lean to the other side. Raises
         InfeasibleError as ``rate``.
         """
-        spans, time = self._shared.sliding_spans, self.time
+        spans = self._shared.sliding_spans
+        time = self.time
         until = float(np.max(spans[spans[:, 0] < time, 1], initial=self._start))
         return self.seek(until) if self._start < until < time else self.rate(-1.0)
 
@@ -189,7 +190,8 @@ class Player(OneLine):
         self.flight, self._listed, self._following = *following, None
         self._shared = _shared_data(self.flight)
         self._start, self._end = (float(b) for b in self.flight.breaks[[0, -1]])
-        self._profile, self._durations = ClockProfile(self._start, 1.0), DURATIONS
+        self._profile = ClockProfile(self._start, 1.0)
+        self._durations = DURATIONS
 
     def _check_time(self, time: float) -> None:
         if not self._start <= finite("time", time) <= self._end:

@@ -161,7 +161,8 @@ class Replanner(OneLine):
             goal = start.end
         else:
             phase = Phase("hold", 0, 0.0, HOLD)
-            motion, goal = rest_motion(start, Requirements(), HOLD, phase), start
+            motion = rest_motion(start, Requirements(), HOLD, phase)
+            goal = start
         flown = motion.team
         has_same_drones = flown.drone_names == team.drone_names
         if not has_same_drones or np.any(flown.cable_length != team.cable_length):
@@ -242,7 +243,10 @@ class Replanner(OneLine):
         yaw: float,
     ) -> tuple[Outline, float, float]:
         """Return outline, altitude and yaw of the requested goal."""
-        goal, team, own, yaw = self._goal, self.motion.team, self._goal.polygon, finite("yaw", yaw)
+        goal = self._goal
+        team = self.motion.team
+        own = self._goal.polygon
+        yaw = finite("yaw", yaw)
         specified = polygon is not None, vertex is not None, to is not None
         kinds = [(True, False, False), (False, True, True), (False, False, True)]
         if specified not in kinds or (yaw != 0.0 and specified != kinds[-1]):
@@ -288,7 +292,8 @@ class Replanner(OneLine):
 
     def _end(self, outline: Outline, altitude: float) -> Hitch:
         """Return the hitch of a goal, with the current slack split if limits allow it."""
-        team, need = self.motion.team, self.requirements
+        team = self.motion.team
+        need = self.requirements
         slack = cable_slack(team, outline)
         q_legs = team.layout.q_legs_of(self._goal.fractions * slack, slack)
         task = LegTask.at_rest(team, outline, q_legs, need, LIMIT_MARGIN)
@@ -296,7 +301,8 @@ class Replanner(OneLine):
 
     def _past(self, at: float) -> Motion:
         """Return the current plan up to a time [s]; after its end the hitch rests."""
-        duration, breaks = self.motion.duration, self.motion.drones.breaks
+        duration = self.motion.duration
+        breaks = self.motion.drones.breaks
         if at > duration + MIN_PIECE:
             phase = replace(self.motion.phases[-1], name="hold", remark="")
             return append_motion(self.motion, resting(self.motion, at - duration, phase))
@@ -321,7 +327,8 @@ def _departures(pasts: Sequence[Motion], limits: Limits) -> Iterator[_Departure 
         return
     stops = [RetargetPath.to_rest(past.team, MovingState.at_end(past)) for past in free]
     times = np.outer(BRAKE_DURATIONS, BRAKE_SAMPLES)
-    shape, t = (len(free), *times.shape), times.ravel()
+    shape = (len(free), *times.shape)
+    t = times.ravel()
     durations = np.repeat(BRAKE_DURATIONS, times.shape[1])
     weights = _weights(t, durations, None)
     outputs = np.concatenate([stop.ends @ weights for stop in stops])
@@ -344,7 +351,8 @@ def _departures(pasts: Sequence[Motion], limits: Limits) -> Iterator[_Departure 
 def _breaks(brake: float, shift: float) -> Array:
     """Return the breaks of a path [s], the ends of brake and shift among them."""
     brake_piece = min(PIECE, max(brake, shift) / MIN_PIECES)
-    shift_piece, parts = max(brake_piece, shift / SHIFT_PIECES), [np.zeros(1)]
+    shift_piece = max(brake_piece, shift / SHIFT_PIECES)
+    parts = [np.zeros(1)]
     for start, end in pairwise([0.0, *sorted((brake, shift))]):
         piece = brake_piece if end <= brake else shift_piece
         count = math.ceil((end - start) / piece * (1.0 - 1e-9))
@@ -364,7 +372,8 @@ class MovingState:
     @classmethod
     def at_end(cls, motion: Motion) -> MovingState:
         """Return the state at the end of a motion."""
-        team, layout = motion.team, motion.team.layout
+        team = motion.team
+        layout = motion.team.layout
         drones, vertices, legs, tensions = (
             part.end_jet(STATE)
             for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
@@ -414,7 +423,8 @@ class RetargetPath:
     @cached_property
     def ends(self) -> Array:
         """(m, 4): mean point, relative shape, fractions and angle: start with rates, and end."""
-        centre, goal = self.state.vertices.mean(axis=0), self.end.mean(axis=0)
+        centre = self.state.vertices.mean(axis=0)
+        goal = self.end.mean(axis=0)
         shape = (self.state.vertices - centre).reshape(-1, STATE)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -463,7 +473,8 @@ class RetargetPath:
             for part in (drones.positions, drones.flat.vertices, legs)
         ]
         derivatives = np.moveaxis(np.concatenate(rows, axis=1), -1, 0)
-        left, right = derivatives[:, :count], derivatives[:, count:]
+        left = derivatives[:, :count]
+        right = derivatives[:, count:]
         left[:STATE, 1:] = right[:STATE, :-1]
         left[:STATE, 0] = np.concatenate([part.reshape(-1, STATE) for part in starts]).T
         right[1:STATE, -1] = 0.0
@@ -477,8 +488,10 @@ def _drones(team: Team, outputs: Array, *, turns: bool = False) -> DroneJets:
 
     Without ``turns``, all angles are zero.
     """
-    layout, count = team.layout, len(outputs)
-    centre, split = outputs[:, :3], outputs[:, 3 + 3 * layout.points : -1]
+    layout = team.layout
+    count = len(outputs)
+    centre = outputs[:, :3]
+    split = outputs[:, 3 + 3 * layout.points : -1]
     shape = outputs[:, 3 : 3 + 3 * layout.points].reshape(count, layout.points, 3, JET)
     vertices = centre[:, None] + (_rotated(shape, outputs[:, -1]) if turns else shape)
     edges = layout.edges(vertices, axis=1)
@@ -499,7 +512,8 @@ def _excess(drones: DroneJets, limits: Limits, t: Array) -> Array:
     rates = np.maximum.reduce(column_lengths(drones.positions), axis=1).T
     vertex_speed = np.maximum.reduce(length(drones.flat.vertices[..., 1]), axis=1)
     thrusts = drones.thrusts
-    horizontal, upward = np.hypot(thrusts[..., 0], thrusts[..., 1]), thrusts[..., 2]
+    horizontal = np.hypot(thrusts[..., 0], thrusts[..., 1])
+    upward = thrusts[..., 2]
     thrust = np.hypot(horizontal, upward) / drones.team.max_thrust
     tilt = np.arctan2(horizontal, upward)
     ratios = [
@@ -520,7 +534,8 @@ def _weights(t: Array, brake: float | Array, shift: float | None) -> Array:
     The brake is the quintic from a state to rest at a free position, of minimum jerk; the shift is
     the one from rest there to rest at the goal.
     """
-    weights, h = np.zeros((len(t), JET, JET)), np.asarray(brake).reshape(-1, 1)
+    weights = np.zeros((len(t), JET, JET))
+    h = np.asarray(brake).reshape(-1, 1)
     _, first, second, *resting = _quintics(t, h[:, 0])
     at_rest = resting[0] + resting[1] + resting[2]
     weights[:, 0, 0] = 1.0

@@ -80,7 +80,8 @@ def retuning_changes(problem: Problem) -> Iterator[Change]:
     own = max(MIN_TRACKING, Tube.of(problem.team.tracking).largest)
     if (error := problem.limits.tube.largest) > own:
         edits = (Edit("limits.tracking", own),)
-        relative, changed = own / error - 1.0, with_edits(problem, edits)
+        relative = own / error - 1.0
+        changed = with_edits(problem, edits)
         yield Change("limits.tracking", "", error, own, "m", relative, changed, edits)
     kinds = problem.team.quadrotor
     if not can_be_stiffer(kinds):
@@ -129,7 +130,8 @@ def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[C
         ungripped = any(v.when.startswith(f"around objects.{name} ") for v in violations)
         if problem.team.robots == 2 or not ungripped:
             continue
-        wider, radius = body.section.widened(RIM_OVERHANG), math.sqrt(body.section.area / math.pi)
+        wider = body.section.widened(RIM_OVERHANG)
+        radius = math.sqrt(body.section.area / math.pi)
         keys = (
             {"circle": wider.radius}
             if wider.outline is None
@@ -138,7 +140,8 @@ def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[C
         edits = (Edit(f"objects.{name}.rim", {**keys, "at": body.upper}),)
         with_rim = with_fields(body, rim=Rim(wider, body.upper))
         changed = replace(problem, objects={**problem.objects, name: with_rim})
-        new, relative = f"{RIM_OVERHANG:g} m wide at {body.upper:g} m", RIM_OVERHANG / radius
+        new = f"{RIM_OVERHANG:g} m wide at {body.upper:g} m"
+        relative = RIM_OVERHANG / radius
         yield Change(edits[0].key, "of the mean radius", "none", new, "", relative, changed, edits)
 
 
@@ -165,7 +168,8 @@ def roll_changes(problem: Problem) -> Iterator[Change]:
                 continue
             edits = (Edit(f"{place}.legs", {"sharing": "spread", "roll_deg": roll}),)
             old = legs if isinstance(legs, str) else "as they are"
-            new, changed = f"spread with roll_deg: {roll}", with_edits(problem, edits)
+            new = f"spread with roll_deg: {roll}"
+            changed = with_edits(problem, edits)
             yield Change(edits[0].key, "", old, new, "", 0.0, changed, edits)
 
 
@@ -207,5 +211,6 @@ def spread_changes(problem: Problem) -> Iterator[Change]:
         if sharing is None or (isinstance(sharing, str) and sharing == "spread"):
             continue
         edits = (Edit(f"{place}.legs", "spread"),)
-        old, changed = legs if isinstance(legs, str) else "as given", with_edits(problem, edits)
+        old = legs if isinstance(legs, str) else "as given"
+        changed = with_edits(problem, edits)
         yield Change(edits[0].key, "", old, "spread", "", 0.0, changed, edits)

@@ -88,7 +88,8 @@ class Change(OneLine):
         change = f"{self.key} {values[0]} -> {values[1]}{unit}"
         if not self.relative:
             return change
-        words, percent = f"{self.words}, " if self.words else "", 100.0 * self.relative
+        words = f"{self.words}, " if self.words else ""
+        percent = 100.0 * self.relative
         share = f"{percent:+.3g}" if abs(percent) < 999.5 else f"{percent:+.0f}"
         return f"{change} ({words}{share} %)"
 
@@ -128,7 +129,8 @@ def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
     except InputError:
         return None
     quantity = knob.key, knob.words, knob.old, new, knob.unit
-    relative, is_factor = (new - knob.old) / extent, knob.extent is None
+    relative = (new - knob.old) / extent
+    is_factor = knob.extent is None
     return Change(*quantity, relative, changed, edits, covers=knob.covers, is_factor=is_factor)
 
 
@@ -198,7 +200,8 @@ def in_step(problem: Problem, i: int, edits: Edits) -> Edits:
 
 def quadrotor_keys(kind: Quadrotor) -> dict[str, Any]:
     """Return a quadrotor's values by key: mass, thrust and all that differs from the default."""
-    required, defaults = ("mass", "max_thrust"), vars(Quadrotor())
+    required = ("mass", "max_thrust")
+    defaults = vars(Quadrotor())
     values = {key: v for key, v in vars(kind).items() if key in required or v != defaults[key]}
     if kind.gains is not None:
         gains = {key: pair for key, pair in vars(kind.gains).items() if pair is not None}

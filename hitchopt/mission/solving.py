@@ -230,7 +230,9 @@ def _plan_steps(
     steps, requirements = mission.steps, mission.requirements
     with_reserve = requirements.with_reserve  # the reserve is for stops on the common clock
     state = _start_state(mission, with_reserve, report)
-    start, plans, motions = state.hitch, list[StepPlan](), list[Motion]()
+    start = state.hitch
+    plans = list[StepPlan]()
+    motions = list[Motion]()
     for first, group in _groups(steps):
         report(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
         needed, stated = map(state.with_objects, (with_reserve, requirements))
@@ -352,7 +354,8 @@ def _assigned_sides(team: Team, drones: Array) -> Assignment:
     An object between them, where they start or where they are tied, is on the right of both.
     """
     pairs = drones.reshape(-1, 2, 3)[..., :2]
-    (x, y), (u, v) = (pairs[:, 1] - pairs[:, 0]).T, (np.mean(pairs, axis=(0, 1)) - pairs[:, 0]).T
+    x, y = (pairs[:, 1] - pairs[:, 0]).T
+    u, v = (np.mean(pairs, axis=(0, 1)) - pairs[:, 0]).T
     flipped = tuple((x * v - y * u > 0.0).tolist())
     return replace(Assignment.fixed(team.robots), flipped=flipped)
 
@@ -441,9 +444,11 @@ def _remedy(violation: Violation, advice: str) -> str:
     """Return the remedy of a violation with further advice; a question stays at its end."""
     if not advice:
         return violation.remedy
-    remedy, question = violation.remedy, ""
+    remedy = violation.remedy
+    question = ""
     if remedy.endswith(EXCHANGED):
-        remedy, question = remedy.removesuffix(EXCHANGED), EXCHANGED
+        remedy = remedy.removesuffix(EXCHANGED)
+        question = EXCHANGED
     return f"{remedy}, or {advice}{question}"
 
 

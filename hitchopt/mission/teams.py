@@ -78,7 +78,8 @@ def schedule_teams(
         """Return the flight in which sampled times keep distances with a margin [m]."""
         report("finding the start time of each team")
         tracking_margin = margin + 2.0 * requirements.limits.tube.largest
-        flown, clock = {name: list[Motion]() for name in alone}, 0.0
+        flown = {name: list[Motion]() for name in alone}
+        clock = 0.0
         for item in items:
             placed = list[Placed]()
             for other in others:  # sampled from this time of the plan on
@@ -126,7 +127,8 @@ def _items(
     for item in items:
         row = dict[str, Motion]()
         for name, count in item.items():
-            motion, steps = alone[name], range(next_step[name], next_step[name] + count)
+            motion = alone[name]
+            steps = range(next_step[name], next_step[name] + count)
             next_step[name] = steps.stop
             phases = [phase for phase in motion.phases if phase.step in steps]
             ends = np.array([phases[0].start, phases[-1].end])
@@ -162,7 +164,8 @@ class _Item:
         motion = self.row.get(name)
         if motion is None or (name, motion.phases[0].step) in self.timed:
             return None  # a layer takes longer
-        gap, is_higher = LAYER_GAP * self.schedule.separation.height, layer % 2 == 1
+        gap = LAYER_GAP * self.schedule.separation.height
+        is_higher = layer % 2 == 1
         lowest, highest = _heights(track)
         if layer <= 2:
             height = gap if is_higher else -gap

@@ -96,10 +96,12 @@ def for_team(text: str, model: str | None = None, robots: int | None = None) -> 
     length = round(ROUND * math.ceil((lengths.smallest + SPARE) / ROUND), 2)
     sized = replace(team, cable_length=np.full(robots, length))
     tensions = fitting_tensions(polygons, required, sized)
-    altitude, (q, r) = round(HEIGHT * length, 1), _starts(robots, length)
+    altitude = round(HEIGHT * length, 1)
+    q, r = _starts(robots, length)
     tied, pulled = (each.vertices for each in polygons)
     reach = max(np.max(np.abs(pulled)) + 0.5 * (length - edge), np.max(np.abs(r)))
-    half, noun = math.ceil(reach + 1.0), NAMES.get(robots, f"a polygon of {robots}")
+    half = math.ceil(reach + 1.0)
+    noun = NAMES.get(robots, f"a polygon of {robots}")
     changed: dict[str, Any] = {
         "title": f"Tie {noun}, pull one vertex, untie it",
         "team.robots": robots,
@@ -131,7 +133,8 @@ def _fitting_polygons(
     With each the polygon, the same with a vertex pulled outward, and the shortest and longest cable
     length [m] of both.
     """
-    radius, limits = required.separation.radius, required.limits
+    radius = required.separation.radius
+    limits = required.limits
     required = replace(
         required, limits=with_fields(limits, leg=max(limits.leg, TYING_LEG * radius))
     )

@@ -168,7 +168,9 @@ class States(OneLine):
     @cached_property
     def _across_thrust(self) -> tuple[Array, Array]:
         """Parts of cable forces across the thrust, and their time derivatives (…, 2n, 3)."""
-        masses, forces, rates = self.masses[..., None], self.cable_forces, self.cable_force_rates
+        masses = self.masses[..., None]
+        forces = self.cable_forces
+        rates = self.cable_force_rates
         thrusts = masses * (self.accelerations + HOVER) - forces
         thrust_rates = masses * self.jerks - rates
         size = np.maximum(length(thrusts), MIN_THRUST)[..., None]

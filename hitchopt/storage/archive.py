@@ -59,7 +59,8 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     no npz file.
     """
     with opened(path) as file, zipfile.ZipFile(file) as archive:
-        listed, seen = archive.namelist(), dict[str, str]()
+        listed = archive.namelist()
+        seen = dict[str, str]()
         for name in (info.orig_filename for info in archive.infolist()):
             if not ARRAY_NAME.fullmatch(name):
                 reason = "is not the name of an array, such as 'a/drones.npy'"
@@ -137,7 +138,8 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
 
 def _array(name: str, data: bytes) -> NDArray[Any]:
     """Return the array of an npy file; raises FileError if the file is invalid."""
-    stream, npy = io.BytesIO(data), np.lib.format
+    stream = io.BytesIO(data)
+    npy = np.lib.format
     try:
         is_first = npy.read_magic(stream) == (1, 0)
         read_header = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
@@ -149,7 +151,8 @@ def _array(name: str, data: bytes) -> NDArray[Any]:
         raise FileError(reason) from error
     if dtype.hasobject or dtype.names is not None:
         raise FileError(f"array {name!r} contains objects, not numbers")
-    size, declared = len(data) - stream.tell(), math.prod(shape) * dtype.itemsize
+    size = len(data) - stream.tell()
+    declared = math.prod(shape) * dtype.itemsize
     if any(length < 0 for length in shape) or declared != size:
         raise FileError(f"array {name!r} claims {declared} bytes of numbers and has {size}")
     if declared == 0:

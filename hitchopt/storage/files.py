@@ -61,7 +61,8 @@ def replace_files(
     Returns the directory as passed. Raises FileError if it is no directory or not writable; then
     nothing in it has changed, or the seal is missing.
     """
-    folder, missing = Path(directory), list[Path]()
+    folder = Path(directory)
+    missing = list[Path]()
     if "\0" in str(folder):
         raise FileError(f"{folder!r}: is not a path; name another directory")
     try:

@@ -93,9 +93,11 @@ def read_text(path: str | Path) -> tuple[str, str]:
     """
     if not isinstance(path, str | Path):
         raise InputError("path", path, "a path", "write its name in quotation marks")
-    name, data = str(path), b""
+    name = str(path)
+    data = b""
     if name == STDIN:
-        name, data = "<stdin>", sys.stdin.buffer.read(MAX_BYTES + 1)
+        name = "<stdin>"
+        data = sys.stdin.buffer.read(MAX_BYTES + 1)
     else:
         try:
             with opened(name) as file:
@@ -163,8 +165,11 @@ class _Reader:
     """Recursive descent parser of one text; MAX_DEPTH bounds the recursion."""
 
     def __init__(self, text: str, name: str) -> None:
-        self.text, self.name, self.budget = text, name, _Budget()
-        self.events, self.place = self._parsed(), Place(name, 1, 1)
+        self.text = text
+        self.name = name
+        self.budget = _Budget()
+        self.events = self._parsed()
+        self.place = Place(name, 1, 1)
 
     def document(self) -> Node | None:
         """Return the root node of the only document, or None for an empty text."""
@@ -191,10 +196,8 @@ class _Reader:
             reason = getattr(error, "problem", None) or repr(str(error).partition("\n")[0])
             place = "" if mark is None else f":{mark.line + 1}:{mark.column + 1}"
             remedy = "indent with spaces" if "\\t" in reason else "correct this line"
-            context, begin = (
-                str(getattr(error, "context", "")),
-                getattr(error, "context_mark", None),
-            )
+            context = str(getattr(error, "context", ""))
+            begin = getattr(error, "context_mark", None)
             for kind, name in (("flow", "bracket"), ("quoted", "quote")):
                 if kind in context and begin is not None:
                     remedy += f", or close the {name} of line {begin.line + 1}"
@@ -226,7 +229,8 @@ class _Reader:
     def _fill(self, node: Node, path: list[str | int], *, is_mapping: bool) -> None:
         """Read the entries and the end of a mapping or list."""
         for entry in self.events:
-            place, head = self.place, entry.end_mark.index
+            place = self.place
+            head = entry.end_mark.index
             if isinstance(entry, events.CollectionEndEvent):
                 node.end = head
                 break
@@ -267,7 +271,8 @@ class _Reader:
 
     def _scalar(self, event: Any) -> Plain:
         """Return the value of a scalar; FileError if it only looks like a number or a key."""
-        text, value = event.value, _scalar(event)
+        text = event.value
+        value = _scalar(event)
         plain = text.translate(LOOKALIKES)
         if plain != text and event.implicit[0]:
             is_number = not isinstance(_plain_scalar(plain.strip()), str)
@@ -319,13 +324,16 @@ class _Budget:
         """Count a value; raises InputError if a limit is exceeded."""
         self.nodes += 1
         if len(path) > MAX_DEPTH:
-            bound, remedy = f"nested at most {MAX_DEPTH} levels deep", "six are enough"
+            bound = f"nested at most {MAX_DEPTH} levels deep"
+            remedy = "six are enough"
             value = f"{len(path)} levels"
         elif self.nodes > MAX_NODES:
-            bound, remedy = f"within {MAX_NODES} values in all", "plan fewer steps at a time"
+            bound = f"within {MAX_NODES} values in all"
+            remedy = "plan fewer steps at a time"
             value = f"{self.nodes} values"
         elif isinstance(value, str) and len(value) > MAX_TEXT:
-            bound, remedy = f"at most {MAX_TEXT} characters long", "shorten it"
+            bound = f"at most {MAX_TEXT} characters long"
+            remedy = "shorten it"
         else:
             return
         raise InputError(key_path(path), value, bound, remedy)
@@ -430,7 +438,8 @@ def with_entries(text: str, path: KeyPath, entries: Iterable[int | dict[str, Pla
         parts = [old[e] if isinstance(e, int) else flow(e) for e in entries]
         return _replaced(text, [(node.start, node.end, f"[{', '.join(parts)}]")])
     ends = [_line_end(text, offset) for offset in (node.head, *(c.end for c in children))]
-    old, dash = [text[a:b] for a, b in pairwise(ends)], f"{_line_break(text)}{' ' * node.column}- "
+    old = [text[a:b] for a, b in pairwise(ends)]
+    dash = f"{_line_break(text)}{' ' * node.column}- "
     body = "".join(old[e] if isinstance(e, int) else dash + flow(e)[1:-1] for e in entries)
     return _replaced(text, [(ends[0], ends[-1], body or " []")])
 

@@ -87,8 +87,10 @@ class Line:
 
     def norm(self) -> Line:
         """Return the norm: ``|y|' = û·y'``; û deviates by at most ``deviation / min |y|``."""
-        n, u = self.size, normalize(self.v)
-        positive, turn = n > self.deviation, self.slope * self.deviation / (n - self.deviation)
+        n = self.size
+        u = normalize(self.v)
+        positive = n > self.deviation
+        turn = self.slope * self.deviation / (n - self.deviation)
         g = np.sum(u * self.g, -1, keepdims=True) * positive[:, None]
         q = np.where(positive, self.q + turn, self.rate)
         return Line(n[:, None], g, q, self.t)
@@ -99,7 +101,8 @@ class Line:
 
     def map(self, f: Callable[[Array], Array], df: Callable[[Array], Array]) -> Line:
         """Apply a function with a monotone derivative to a non-negative scalar."""
-        slope, ends = df(self.v), df(np.stack([np.maximum(self.low, 0.0), self.high]))
+        slope = df(self.v)
+        ends = df(np.stack([np.maximum(self.low, 0.0), self.high]))
         q = np.max(np.abs(ends - slope[:, 0]), 0) * self.slope
         q = np.max(np.abs(ends), 0) * self.q + q
         return Line(f(self.v), slope * self.g, q, self.t)
@@ -120,8 +123,10 @@ class Line:
 
     def unless(self, over: Line) -> Line:
         """Return FAR where a scalar is positive; this scalar bounds it where that is unsure."""
-        far, low = over.v > 0.0, np.where(over.low > 0.0, FAR, np.minimum(self.low, FAR))
-        v, g = np.where(far, FAR, self.v), np.where(far, 0.0, self.g)
+        far = over.v > 0.0
+        low = np.where(over.low > 0.0, FAR, np.minimum(self.low, FAR))
+        v = np.where(far, FAR, self.v)
+        g = np.where(far, 0.0, self.g)
         return Line(v, g, np.where(far[:, 0], (FAR - low) / self.t, self.q), self.t)
 
 
@@ -176,7 +181,8 @@ class Effort:
     """
 
     def __init__(self, allowed: int) -> None:
-        self.spent, self.allowed = 0, allowed
+        self.spent = 0
+        self.allowed = allowed
 
 
 class Times(Protocol):
@@ -197,7 +203,9 @@ class Curve:
     def __init__(self, c: Array, h: Array) -> None:
         max_step = np.max(np.abs(np.diff(c, axis=-1)), axis=(2, 3), initial=0.0)
         noise = 2.0**-48 * np.max(np.abs(c), axis=(2, 3), initial=0.0)
-        self.c, self.noise, N = [c], [noise], c.shape[-1] - 1
+        self.c = [c]
+        self.noise = [noise]
+        N = c.shape[-1] - 1
         for k in range(1, 6):
             n = N + 1 - k
             difference = np.diff(self.c[-1], axis=-1) if n > 0 else 0.0 * self.c[-1]
@@ -226,7 +234,8 @@ def differ(c: Array, d: Array) -> bool:
 def elevate(c: Array, count: int) -> Array:
     """Return polynomials of a higher degree, with ``count`` coefficients."""
     while c.shape[-1] < count:
-        share, zero = np.arange(c.shape[-1] + 1) / c.shape[-1], np.zeros_like(c[..., :1])
+        share = np.arange(c.shape[-1] + 1) / c.shape[-1]
+        zero = np.zeros_like(c[..., :1])
         c = share * np.concatenate([zero, c], -1) + (1 - share) * np.concatenate([c, zero], -1)
     return c
 

@@ -79,8 +79,10 @@ def taut_cables(p: Plan) -> Iterator[Row]:
 
 def friction_excess(s: Spans, i: Index) -> Line:
     """Return excesses of legs' tensions beyond ``e^{-μθ} T`` and ``e^{μθ} T``, over T."""
-    p, ratio = s.plan, capstan(s, i)
-    x, T = p.pulls.on(s, i), p.tensions.on(s, i // 2)
+    p = s.plan
+    ratio = capstan(s, i)
+    x = p.pulls.on(s, i)
+    T = p.tensions.on(s, i // 2)
     beyond = maximum(x - T * ratio, T * ratio.inverse() - x)
     return beyond * maximum(T, MIN_TENSION).inverse()
 
@@ -98,7 +100,9 @@ def length_error(s: Spans, k: Index) -> Line:
 
     Segments of chord s at a slope α are longer than s by ``(ρ g τ / T)² s³ cos² α / 24``.
     """
-    p, (leaving, arriving), excess = s.plan, s.edge(k), wrapped_length(s, k) - s.plan.length[k]
+    p = s.plan
+    leaving, arriving = s.edge(k)
+    excess = wrapped_length(s, k) - s.plan.length[k]
     segments = [(x.norm(), x) for x in (s.leg(2 * k), s.leg(2 * k + 1))]
     errors = [(p.legs.on(s, 2 * k + end) - segments[end][0]).norm() for end in (0, 1)]
     pulled = maximum(p.tensions.on(s, k), p.min_tension[s.piece, k]).inverse() * p.weight
@@ -112,10 +116,12 @@ def length_error(s: Spans, k: Index) -> Line:
 
 def wrapped_length(s: Spans, k: Index) -> Line:
     """Return lengths of edges along gripped objects: ``2 R arcsin(c / 2 R)``, or sides."""
-    p, ends = s.plan, [s.point(i) for i in s.plan.edges[1:3, k]]
+    p = s.plan
+    ends = [s.point(i) for i in s.plan.edges[1:3, k]]
     total = chord = (ends[1] - ends[0]).norm()
     for b in map(int, np.flatnonzero(np.any(p.grip, axis=1))):
-        stem, on = p.bodies[b].stem, p.grip[b, s.piece]
+        stem = p.bodies[b].stem
+        on = p.grip[b, s.piece]
         if stem.round:
             half = chord * (0.5 / stem.radius)
             half = half.map(np.arcsin, lambda x: 1.0 / np.sqrt(1.0 - x**2))
@@ -136,9 +142,13 @@ def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line]
     + ½ ρ g (L - other leg))`` of both cables; ``w = -m μ (a_k + g b ẑ) + m h (G·a) ẑ`` with the
     load share b, the clasp's shares μ and G of mass and moments, and the height h above clasps.
     """
-    p, k, j = s.plan, s.plan.clasps[c], s.plan.behind[c]
+    p = s.plan
+    k = s.plan.clasps[c]
+    j = s.plan.behind[c]
     chords = s.leg_chord(2 * k), s.edge(k)[0], s.leg_chord(2 * j + 1), s.edge(j)[1]
-    factor, body_force, weights = s.zero + 1.0, s.zero * UP, []
+    factor = s.zero + 1.0
+    body_force = s.zero * UP
+    weights = []
     for b, body in enumerate(p.bodies):
         share = p.load_share.on(s, b)
         mass, x, y = p.rim.shares[b, s.piece, c, :, None].swapaxes(0, 1)
@@ -150,7 +160,8 @@ def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line]
     for cable, other in ((k, 2 * k + 1), (j, 2 * j)):
         length = -s.leg(other).norm().where(p.leg[other]) + p.length[cable]
         weights.append(s.tautness(cable) * (length * (0.5 * p.weight) + 0.5 * G * p.load[c]) * UP)
-    ahead, behind = s.edge_pull(k, 1.0) * factor, s.edge_pull(j, -1.0) * factor
+    ahead = s.edge_pull(k, 1.0) * factor
+    behind = s.edge_pull(j, -1.0) * factor
     pulls = [s.pull(2 * k), ahead, s.pull(2 * j + 1), behind]
     return [x.unit() for x in chords], pulls, weights, body_force
 
@@ -189,8 +200,10 @@ def contact(s: Spans, c: Index) -> Line:
     ``C = W_k ẑ - P q̂_k - P_k u_k - ½ w``; the products are C·q̂_k, C·u_k, -C·r̂_{k-1}, C·u_{k-1}.
     With different tensions due to friction they are the means of both products of a cable.
     """
-    p, (u, P, weights, body_force) = s.plan, clasp_forces(s, c)
-    C, weakest = weights[0] - u[0] * P[0] - u[1] * P[1] - body_force * 0.5, minimum(P[1], P[3])
+    p = s.plan
+    u, P, weights, body_force = clasp_forces(s, c)
+    C = weights[0] - u[0] * P[0] - u[1] * P[1] - body_force * 0.5
+    weakest = minimum(P[1], P[3])
     tensioned = has_tension(s, p.clasps[c], p.behind[c])
     products = [C.dot(u[0]), C.dot(u[1]), -C.dot(u[2]), C.dot(u[3])]
     if p.frictional:
@@ -213,10 +226,14 @@ def total_turn(s: Spans) -> Line:
 
 def exterior_angle(s: Spans, c: Index) -> Line:
     """Return exterior angles at clasps in the horizontal plane [deg]; clockwise is positive."""
-    p, k, x = s.plan, s.plan.clasps[c], s.point(s.plan.begin[s.plan.clasps[c]])
-    a, b = (x - s.point(p.begin[p.behind[c]]))[:2], (s.point(p.end[k]) - x)[:2]
+    p = s.plan
+    k = s.plan.clasps[c]
+    x = s.point(s.plan.begin[s.plan.clasps[c]])
+    a = (x - s.point(p.begin[p.behind[c]]))[:2]
+    b = (s.point(p.end[k]) - x)[:2]
     if p.two:  # edges bend around an object
-        a, b = s.edge(p.behind[c])[1][:2], s.edge(k)[0][:2]
+        a = s.edge(p.behind[c])[1][:2]
+        b = s.edge(k)[0][:2]
     right = a[1] * b[0] - a[0] * b[1]
     turn = angle(a, b) * DEGREES * np.where(right.v < 0.0, -1.0, 1.0)
     return Line(turn.v, turn.g, np.where(right.low * right.high > 0.0, turn.q, BIG), s.t)

@@ -31,7 +31,8 @@ OWN_LINK = 0.75  # place of the end of the last link that does not count, over t
 
 def catenary_sigma(ratio: Array) -> Array:
     """Return σ of ``sinh σ / σ = ratio``, by bisection; nan for ratios up to 1."""
-    low, high = np.zeros_like(ratio), 8.0 + 2.0 * np.log(np.maximum(ratio, 1.0))
+    low = np.zeros_like(ratio)
+    high = 8.0 + 2.0 * np.log(np.maximum(ratio, 1.0))
     for _ in range(60):
         x = 0.5 * (low + high)
         below = np.sinh(x) < ratio * x
@@ -102,13 +103,16 @@ def catenary_links(s: Spans, k: Index, *distances: float) -> Links:
     sags below a link by at most a quarter of its width times the change of slope.
     """
     span, sigma = catenary(s, 2 * k)
-    L, h, g = s.plan.length[k, 0], span.v[:, 2], sigma.v[:, 0]
+    L = s.plan.length[k, 0]
+    h = span.v[:, 2]
+    g = sigma.v[:, 0]
     tilt = np.arcsinh(h / np.sqrt(L**2 - h**2))
     ends = [np.minimum(x / L, 1.0) for x in distances]
     ends += [1.0 - x for x in ends]
     shares = np.linspace(0.0, 1.0, LINKS + 1)[:, None] + 0.0 * L
     shares = np.sort(np.concatenate([shares, *(x[None] for x in ends)]), axis=0)
-    low, high = np.sinh(tilt - g), np.sinh(tilt + g)
+    low = np.sinh(tilt - g)
+    high = np.sinh(tilt + g)
     slopes = low + shares * (high - low)  # proportional to the length
     places = np.clip((np.arcsinh(slopes) - tilt) / g, -1.0, 1.0)
     rate = depth_rate(s, k, span, sigma)
@@ -129,12 +133,16 @@ def own_cable_gap(s: Spans, i: Index, k: Index) -> Line:
     artanh(h / L))``. Links that lead down, or end nearer, throughout a span are ignored.
     """
     nearest = OWN_DISTANCES * s.plan.cable_limit[1]
-    links, (span, sigma) = catenary_links(s, k, OWN_LINK * nearest), catenary(s, 2 * k)
-    at_r, L, h = i % 2 == 1, s.plan.length[k, 0], span[2]
+    links = catenary_links(s, k, OWN_LINK * nearest)
+    span, sigma = catenary(s, 2 * k)
+    at_r = i % 2 == 1
+    L = s.plan.length[k, 0]
+    h = span[2]
     share = np.minimum((np.abs(h.v[:, 0]) + h.deviation) / L, 1.0)
     turn = np.arctanh(h.v[:, 0] / L), h.deviation / np.maximum(L * (1.0 - share**2), TINY)
     rates = (np.abs(links.places) * sigma.deviation + turn[1]) / s.t
-    y, along = links.places * sigma.v[:, 0] + turn[0], links.shares * L
+    y = links.places * sigma.v[:, 0] + turn[0]
+    along = links.shares * L
     reached = OWN_LINK * nearest * (1.0 + TOLERANCE)
 
     def line(x: Array, rate: Array) -> Line:
@@ -146,10 +154,12 @@ def own_cable_gap(s: Spans, i: Index, k: Index) -> Line:
         far_end = np.where(at_r, L - along[j], along[j + 1])
         ahead = np.where(far_end <= reached, nearest - far_end, -nearest)
         away = maximum(line(*descent), line(ahead, links.rate))
-        absent, gap = away.low > 0.0, distance([s.point(i)], link, s.plan.ratio)
+        absent = away.low > 0.0
+        gap = distance([s.point(i)], link, s.plan.ratio)
         counted.append(gap.where(~absent) + np.where(absent, FAR, 0.0)[:, None])
         values.append(np.where(away.v > 0.0, FAR, gap.v))
-    value, gap = np.min(values, axis=0), minimum(*counted)
+    value = np.min(values, axis=0)
+    gap = minimum(*counted)
     unsure = np.any(value > gap.v, axis=1)  # whether nearer links count
     gap = gap.where(~unsure) + line(value[:, 0], (value[:, 0] - gap.low) / s.t).where(unsure)
     return gap - links.sag - shift(s, k)
@@ -163,7 +173,9 @@ def shift(s: Spans, k: Index) -> Line:
     Errors of h are larger by the ratio, by which heights are divided; σ only moves points
     vertically. Laid cables stay taut between their ends: none of their points moves farther.
     """
-    L, r, ratio = s.plan.length[k, 0], 2.0 * s.plan.tracking, s.plan.ratio
+    L = s.plan.length[k, 0]
+    r = 2.0 * s.plan.tracking
+    ratio = s.plan.ratio
     up = r * ratio
 
     def bound(low: Array, high: Array, h: Array) -> Array:
@@ -177,7 +189,8 @@ def shift(s: Spans, k: Index) -> Line:
     if not r:
         return s.zero
     span = s.q_to_r(k)
-    horizontal, h = span[:2].norm(), np.abs(span.v[:, 2])
+    horizontal = span[:2].norm()
+    h = np.abs(span.v[:, 2])
     x = bound(horizontal.v[:, 0], horizontal.v[:, 0], h)
     q = (bound(horizontal.low, horizontal.high, h + span[2].deviation) - x) / s.t
     hanging = s.plan.state[s.piece] != LAID
@@ -193,7 +206,9 @@ def lowest_height(s: Spans, k: Index) -> Line:
     """
     q, r = s.ends(k)
     span, sigma = catenary(s, 2 * k)
-    L, h, g = s.plan.length[k, 0], span.v[:, 2], sigma.v[:, 0]
+    L = s.plan.length[k, 0]
+    h = span.v[:, 2]
+    g = sigma.v[:, 0]
     lowest_place = np.clip(-np.arctanh(h / L) / g, -1.0, 1.0)
     chord_height = q.v[:, 2] + 0.5 * (1.0 + lowest_place) * h
     height = chord_height - catenary_depth(L, h, g, lowest_place)

@@ -52,7 +52,8 @@ def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
 
     They ``rest`` at the start (0) or the end (-1) of the plan.
     """
-    bodies, both = [body.name for body in p.bodies], (p.taut[1:] & p.taut[:-1])[:, None]
+    bodies = [body.name for body in p.bodies]
+    both = (p.taut[1:] & p.taut[:-1])[:, None]
 
     def jump(c: Array, names: Sequence[str], on: Any = True, fold: Any = np.max) -> Iterator[Worst]:
         x = norm(c[1:, ..., 0] - c[:-1, ..., -1]) * on
@@ -65,7 +66,8 @@ def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
         jumps = np.sum(np.where(x > 1e-9, x, 0.0), axis)
         return np.asarray(np.maximum(jumps, np.max(x, axis)))
 
-    values, summed = list[Worst](), partial(jump, fold=total)
+    values = list[Worst]()
+    summed = partial(jump, fold=total)
     for k in range(3):
         curves = (p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)
         values += chain(*(summed(curve, names) for curve, names in curves))
@@ -86,7 +88,8 @@ def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
     values = [*jump(np.stack(ends, -1).reshape(-1, p.N, 3, 2), p.names)]
     values += [*jump(p.tensions.c[0] * on, p.cables), *jump(p.pulls.c[0] * on, p.names)]
     # At both ends of a range, tensions are the team's unless an object is held there
-    held, ranged = np.pad(np.any(p.held, axis=0), 1, "edge"), np.append(p.range_phase, -1)
+    held = np.pad(np.any(p.held, axis=0), 1, "edge")
+    ranged = np.append(p.range_phase, -1)
     for q, end in product(np.flatnonzero(p.formed & (p.range_phase >= 0)), (0, -1)):
         o = q - 1 - 2 * end  # without a range, but with the same hold, beyond the plan
         if ranged[o] != ranged[q] and not (held[q + 1] and held[o + 1]):
@@ -107,10 +110,13 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
     """Yield contradictions between curves and the states of cables in phases."""
     c = p.points.c[0][:, : p.N]
     for i, phase in enumerate(p.phases):
-        at, state, on = phase["start"], phase["state"], p.phase == i
+        at = phase["start"]
+        state = phase["state"]
+        on = p.phase == i
         if not np.any(on):  # shorter than what files resolve
             continue
-        s, k = Spans.of(p, on & p.free, range(p.n)), np.tile(np.arange(p.n), np.sum(on & p.free))
+        s = Spans.of(p, on & p.free, range(p.n))
+        k = np.tile(np.arange(p.n), np.sum(on & p.free))
         pulls = any(np.any(x.c[0][on & p.free]) for x in (p.legs, p.tensions, p.pulls))
         yield at, pulls, "tensions or legs without a hitch"
         if state == LAID:
@@ -160,10 +166,12 @@ def object_faults(p: Plan) -> Iterator[Fault]:
         head = [norm(p.poses.at(s.subspan(x), b)[:, 3:]) for x in (-1.0, -0.5, 0.0, 0.5, 1.0)]
         under = np.array([support_below(p, b, x)[0] for x in c[..., 0]])
         falls = (np.abs(c[:, b, 2, 0] + body.stem.lower - under) > POS_TOL) & ~lifted & ~moving
-        loose, share = p.rest[b] & (body.rim is None or not p.closed), p.load_share.c[0][:, b, 0]
+        loose = p.rest[b] & (body.rim is None or not p.closed)
+        share = p.load_share.c[0][:, b, 0]
         if p.n and not np.all(loose):
             seen = to_frame(c[:, b, None, :, 0], p.points.c[0][:, p.V, :, 0])
-            side, to = (np.roll(seen, -1, 1) - seen)[..., :2], body.centre[:2] - seen[..., :2]
+            side = (np.roll(seen, -1, 1) - seen)[..., :2]
+            to = body.centre[:2] - seen[..., :2]
             right = side[..., 1] * to[..., 0] - side[..., 0] * to[..., 1] > 0.0
             below = seen[..., 2] <= body.height + CONTACT_TOL
             loose |= p.rest[b] & ~np.all(right & below, axis=1)
@@ -232,7 +240,8 @@ def stated_rules(p: Plan) -> Iterator[Row]:
     """Yield the custom rules that a file states, unproven; stated values may break their limits."""
     for rule in p.stated:
         worst = np.nan if rule["worst"] is None else float(rule["worst"])
-        limit, sense = float(rule["limit"]), rule["sense"]
+        limit = float(rule["limit"])
+        sense = rule["sense"]
         excess = (worst - limit) * (1.0 if sense == "max" else -1.0)
         broken = excess > TOLERANCE * max(abs(limit), 1.0)
         found = "violated" if broken else STATED

@@ -16,7 +16,9 @@ from .spans import Row, Spans, prove
 
 def drones(p: Plan) -> Iterator[Row]:
     """Prove distances, rates and forces of drones."""
-    s, lim, sep = Spans.of(p, p.all_pieces, range(p.N), p.names), p.limits, p.sep
+    s = Spans.of(p, p.all_pieces, range(p.N), p.names)
+    lim = p.limits
+    sep = p.sep
     pairs = Spans.of(p, p.all_pieces, np.column_stack(np.triu_indices(p.N, 1)), p.names, p.names)
 
     def turning(s: Spans, i: Index) -> Line:
@@ -56,9 +58,11 @@ def drones(p: Plan) -> Iterator[Row]:
 
 def thrust(s: Spans, i: Index) -> Line:
     """Return ``m (a + g ẑ) + P û + ½ ρ g d τ ẑ - (1 - τ) w``; w is a hanging cable's force."""
-    p, force = s.plan, (s.point(i, 2) + G * UP) * s.plan.mass[i]
+    p = s.plan
+    force = (s.point(i, 2) + G * UP) * s.plan.mass[i]
     if p.n:
-        leg, tau = s.leg_chord(i), s.tautness(i // 2)
+        leg = s.leg_chord(i)
+        tau = s.tautness(i // 2)
         taut = leg.unit() * s.pull(i) + leg.norm() * tau * (0.5 * p.weight) * UP
         force = force + taut.where(p.taut[s.piece])
         if p.weight > 0.0 and np.any(tau.low < 1.0):

@@ -40,7 +40,8 @@ def past_roll(s: Spans, c: Index, sense: Array) -> Line:
     """
     k, j = s.plan.clasps[c], s.plan.behind[c]
     q, r = (s.leg_chord(i).unit() * s.pull(i) for i in (2 * k, 2 * j + 1))
-    axis, bisector = (q + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
+    axis = (q + r).unit()
+    bisector = s.edge(k)[0].unit() + s.edge(j)[1].unit()
     sine = axis.cross(bisector).dot(q - r) * sense[s.piece, c, None]
     cosine = axis.dot(bisector) * axis.dot(q - r) - bisector.dot(q - r)
     x = maximum(sine + cosine * math.tan(PAST_ROLL / DEGREES), -cosine).where(has_tension(s, k, j))
@@ -53,7 +54,8 @@ def bent_orders(p: Plan, run: Items) -> tuple[Array, Array, Array]:
     Values: the sign of signed distances, and height orders at the start and at the end, 1 if the
     cable ahead is above; 0 if cables do not clearly cross at any sample.
     """
-    count, parts = len(p.clasps), 8
+    count = len(p.clasps)
+    parts = 8
     x = np.tile(np.repeat((np.arange(parts) + 0.5) / parts, count), len(run))
     c = np.tile(np.arange(count), parts * len(run))
     s = Spans(p, np.repeat(run, parts * count), c[:, None], x, 0.0 * x)
@@ -96,15 +98,18 @@ def roll_changes(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
 
     Rolls are sampled several times per piece, so that legs turn by much less than a right angle.
     """
-    count, parts = len(p.clasps), 6
+    count = len(p.clasps)
+    parts = 6
     places = np.repeat((np.arange(parts) + 0.5) / parts, count)
-    q, x = np.repeat(run, len(places)), np.asarray(np.tile(places, len(run)), np.float64)
+    q = np.repeat(run, len(places))
+    x = np.asarray(np.tile(places, len(run)), np.float64)
     c = np.tile(np.arange(count), parts * len(run))
     s = Spans(p, q, c[:, None], x, 0.0 * x + 0.5 / parts)
     k, j = p.clasps[c], p.behind[c]
     with np.errstate(all="ignore"):  # legs may vanish
         q_, r = (s.leg_chord(i).unit() for i in (2 * k, 2 * j + 1))
-        axis, u = (q_ + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
+        axis = (q_ + r).unit()
+        u = s.edge(k)[0].unit() + s.edge(j)[1].unit()
         m, m0 = (y - axis * axis.dot(y) for y in (q_ - r, u))
         valid = (m.deviation < 0.5 * norm(m.v)) & (m0.deviation < 0.1 * norm(m0.v))
     sine = np.sum(np.cross(m0.v, axis.v) * m.v, -1)
@@ -212,7 +217,8 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     on which chords may touch, each must provably cross the other, projected along their common
     normal; the sign of ``(q_j - q_i)·((r_i - q_i) × (r_j - q_j))`` changes with each crossing.
     """
-    n, m = p.n, len(p.h)
+    n = p.n
+    m = len(p.h)
     half_crossings = np.zeros((n, n, m + 1))  # initial ones, then those of each piece
 
     def sign(s: Spans, end: float) -> Array:
@@ -227,7 +233,8 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     def decided(s: Spans, i: Index, j: Index) -> Line:
         ends, chords = (s.ends(i), s.ends(j)), (s.q_to_r(i), s.q_to_r(j))
         apart = distance(*ends).low > POS_TOL
-        normal, crosses = normalize(np.cross(chords[0].v, chords[1].v)), ~apart
+        normal = normalize(np.cross(chords[0].v, chords[1].v))
+        crosses = ~apart
         for chord, (base, _), others in zip(chords, ends, ends[::-1], strict=True):
             a, b = (chord.cross(x - base).dot(normal) for x in others)
             crosses &= ((a.low > 0) & (b.high < 0)) | ((a.high < 0) & (b.low > 0))
@@ -236,7 +243,8 @@ def link_faults(p: Plan) -> Iterator[Fault]:
         return Line(s.zero.v, s.zero.g, np.where(apart | crosses, 0.0, BIG), s.t)
 
     # replay checks laid or rolling neighbours
-    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, BENT))
+    both = np.triu_indices(n, 1)
+    laid = np.isin(p.state, (LAID, ROLLING, BENT))
     later_free = np.flip(np.logical_or.accumulate(np.flip(p.free)))
     loose = later_free[:, None] & ~(laid[:, None] & p.clasped[both])
     pairs = Spans.of(p, loose, np.column_stack(both), p.cables, p.cables)

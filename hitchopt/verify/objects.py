@@ -36,7 +36,8 @@ HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of wh
 
 def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     """Prove distances of a body to cables, other bodies, ground and walls."""
-    body, allowed = p.bodies[b], allowed_contacts(p, b)
+    body = p.bodies[b]
+    allowed = allowed_contacts(p, b)
     others = p.taut[:, None] & ~p.holding[b][:, p.segments[:, 2]]
     off = Spans.of(p, others, range(len(p.segments)), p.segment_names)
     free, clasping = (Spans.of(p, on, range(p.n), p.cables) for on in (p.free, p.clasping))
@@ -102,9 +103,12 @@ def clear_held(p: Plan, b: int) -> Iterator[Row]:
     Edges touch a body that they grip: ``gripped`` proves how. A rim rests on cables only below it,
     up to RIM_CUT at its edge, which bends their legs.
     """
-    body, header = p.bodies[b], "penetration m min"
-    held, items = p.holding[b][:, p.segments[:, 2]] & p.taut[:, None], range(len(p.segments))
-    wrapped, is_leg = p.grip[b][:, None], p.segments[:, 3] == p.segments[:, 4]
+    body = p.bodies[b]
+    header = "penetration m min"
+    held = p.holding[b][:, p.segments[:, 2]] & p.taut[:, None]
+    items = range(len(p.segments))
+    wrapped = p.grip[b][:, None]
+    is_leg = p.segments[:, 3] == p.segments[:, 4]
     is_tray = body.rim is not None and body.height == body.stem.lower  # above what it rests on
     masks = [held & (is_leg | ~wrapped) & (wrapped | (not is_tray)), held & wrapped]
     for slab, on in zip(body.slabs, masks, strict=False):
@@ -132,9 +136,11 @@ def body_gap(
 
 def allowed_contacts(p: Plan, b: int) -> Mask:
     """Return a mask of supports of a body by piece, the ground last, at lifts and descents."""
-    c, bottom = p.poses.c[0], p.bodies[b].stem.lower
+    c = p.poses.c[0]
+    bottom = p.bodies[b].stem.lower
     vertical = np.all(np.ptp(c[:, b, [0, 1, 3, 4]], axis=-1) <= POS_TOL, axis=-1)
-    runs, allowed = np.cumsum(~vertical), np.zeros((len(c), len(p.bodies) + 1), dtype=bool)
+    runs = np.cumsum(~vertical)
+    allowed = np.zeros((len(c), len(p.bodies) + 1), dtype=bool)
     for q, end in ((q, end) for q in np.flatnonzero(vertical) for end in (0, -1)):
         top, support = support_below(p, b, c[q, ..., end])
         if abs(c[q, b, 2, end] + bottom - top) <= POS_TOL or (q == 0 and end == 0):
@@ -144,7 +150,9 @@ def allowed_contacts(p: Plan, b: int) -> Mask:
 
 def support_below(p: Plan, b: int, poses: Array) -> tuple[float, int]:
     """Return the height and the index of the support under a body (-1: the ground)."""
-    c, (x, y, z), supports = poses[b], p.bodies[b].centre, [(p.floor, -1)]
+    c = poses[b]
+    x, y, z = p.bodies[b].centre
+    supports = [(p.floor, -1)]
     centre = c[:3] + [c[3] * x - c[4] * y, c[4] * x + c[3] * y, z]
     for o, other in enumerate(p.bodies):
         top = float(poses[o, 2] + other.stem.upper)
@@ -155,7 +163,9 @@ def support_below(p: Plan, b: int, poses: Array) -> tuple[float, int]:
 
 def resting(p: Plan, b: int) -> Iterator[Row]:
     """Prove that clasps keep their positions, and that friction and support hold the rim."""
-    body, on, rim = p.bodies[b], p.rest[b] & p.active[b], p.bodies[b].rim
+    body = p.bodies[b]
+    on = p.rest[b] & p.active[b]
+    rim = p.bodies[b].rim
     if rim is None or not p.closed:
         return
     q = p.hold_start[b]
@@ -163,8 +173,10 @@ def resting(p: Plan, b: int) -> Iterator[Row]:
 
     def drift(s: Spans, j: Index) -> Line:
         """Return drifts of clasps since the start of the hold, and from depths below the rim."""
-        x, at = s.local(b, s.point(p.begin[j])), places[s.piece, j]
-        depth, lifted = p.rim.depth[b, s.piece, None], p.lifted[b, s.piece, None]
+        x = s.local(b, s.point(p.begin[j]))
+        at = places[s.piece, j]
+        depth = p.rim.depth[b, s.piece, None]
+        lifted = p.lifted[b, s.piece, None]
         upper = np.where(lifted, depth, 0.0) - rim.lower
         outside = np.where(rim.depth(at[:, :2]) > CONTACT_TOL, 0.0, 1.0)[:, None]
         return maximum((x[:2] - at[:, :2]).norm(), -x[2] + rim.lower - depth, x[2] + upper, outside)
@@ -177,7 +189,8 @@ def resting(p: Plan, b: int) -> Iterator[Row]:
         """Return ``n·(c - p_k) - h n·a / (g + a_z)`` of every side's inward normal n."""
         side = (places[s.piece, (j + 1) % p.n] - places[s.piece, j])[:, :2]
         n = normalize(np.stack([side[:, 1], -side[:, 0]], -1))
-        a, x = s.rotated(b, s.world(b, body.centre, 2)), s.local(b, s.point(p.begin[j]))
+        a = s.rotated(b, s.world(b, body.centre, 2))
+        x = s.local(b, s.point(p.begin[j]))
         lean = a[:2].dot(n) * (a[2] + G).inverse() * (float(body.centre[2]) - rim.lower)
         return (-x[:2] + body.centre[:2]).dot(n) - lean - 2.0 * CONTACT_TOL
 
@@ -267,11 +280,14 @@ def steady(p: Plan, b: int) -> Iterator[Row]:
     Tension is constant, drones are at rest, and the body and clasps yield: all coordinates but the
     body's turn, first, are eliminated from the second derivatives of the energy.
     """
-    body, stem, size = p.bodies[b], p.bodies[b].stem, 3 + 2 * p.n
+    body = p.bodies[b]
+    stem = p.bodies[b].stem
+    size = 3 + 2 * p.n
 
     def stiffness(s: Spans, _: Index) -> Line:
         """Return the stiffness of yaw; the coordinates are turn, body (1, 2) and clasps."""
-        H, centre = [[s.zero] * size for _ in range(size)], s.world(b, body.centre)[:2]
+        H = [[s.zero] * size for _ in range(size)]
+        centre = s.world(b, body.centre)[:2]
 
         def lengthen(x: Line, T: Line, left: dict[int, Line]) -> None:
             """Add ``T m m' / |x|`` of a part of which coordinates move an end to the left."""
@@ -280,8 +296,10 @@ def steady(p: Plan, b: int) -> Iterator[Row]:
                 H[i][j] = H[i][j] + left[i] * left[j] * ratio
 
         for k, end in product(range(p.n), (0, 1)):
-            T, vertex = p.tensions.on(s, k), int((p.begin, p.end)[end][k])
-            clasp, leg = 3 + 2 * (vertex - p.N), s.leg(2 * k + end)[:2]
+            T = p.tensions.on(s, k)
+            vertex = int((p.begin, p.end)[end][k])
+            clasp = 3 + 2 * (vertex - p.N)
+            leg = s.leg(2 * k + end)[:2]
             part = (s.edge(k)[1] if end else -s.edge(k)[0])[:2]
             for x in (leg, part):
                 u = x.unit()
@@ -308,7 +326,9 @@ def hinged(p: Plan, b: int) -> Iterator[Row]:
 
     All forces of both cables' legs pass through the line through their clasps.
     """
-    body, stem, held = p.bodies[b], p.bodies[b].stem, p.grip[b] & p.two
+    body = p.bodies[b]
+    stem = p.bodies[b].stem
+    held = p.grip[b] & p.two
 
     def hinge(s: Spans, j: Index) -> Line:
         """Return heights of clasps above the centre of mass."""
@@ -319,8 +339,10 @@ def hinged(p: Plan, b: int) -> Iterator[Row]:
 
         Edges pull at contacts. The foot is the largest disc about the centre of the section.
         """
-        base, weight = s.world(b, np.append(stem.centroid, stem.lower)), G * body.mass
-        down, moment = s.zero + weight, s.zero * UP
+        base = s.world(b, np.append(stem.centroid, stem.lower))
+        weight = G * body.mass
+        down = s.zero + weight
+        moment = s.zero * UP
         for k in (0, 1):
             leaving, arriving = s.edge(k)
             for end, u in ((0, -leaving.unit()), (1, arriving.unit())):

@@ -66,7 +66,8 @@ class Step(NamedTuple):
 
     def samples(self, item: int) -> tuple[Array, Array]:
         """Return times (k,) from the step's start and positions (k, 3) of a point on its pieces."""
-        p, on = self.p, self.pieces[self.p.breaks[self.pieces] >= self.start - POS_TOL]
+        p = self.p
+        on = self.pieces[self.p.breaks[self.pieces] >= self.start - POS_TOL]
         c = p.points.c[0][on, item]
         n = c.shape[-1] - 1
         k = np.arange(n + 1)
@@ -83,7 +84,8 @@ class Step(NamedTuple):
     @property
     def swings(self) -> list[dict[str, Any]]:
         """Phases in which clasps settle: drones swing, or vertices return to where they rest."""
-        p, found = self.p, list[dict[str, Any]]()
+        p = self.p
+        found = list[dict[str, Any]]()
         for phase in self.phases:
             on = (p.breaks[:-1] > phase["start"] - CLOSE) & (p.breaks[1:] < phase["end"] + CLOSE)
             vertices = p.points.c[0][on][:, p.V]
@@ -218,7 +220,8 @@ def path(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
             at = [np.interp(point[0], times, x) for x in places.T[:2]]
             yield max(float(norm(at - goal)) - PATH_TOL, 0.0)
         else:
-            a, d = places[:-1, :2], np.diff(places[:, :2], axis=0)
+            a = places[:-1, :2]
+            d = np.diff(places[:, :2], axis=0)
             share = np.sum((goal - a) * d, -1) / np.maximum(np.sum(d * d, -1), 1e-300)
             near = norm(a + np.clip(share, 0.0, 1.0)[:, None] * d - goal)
             yield max(float(np.min(near)) - PATH_TOL, 0.0)
@@ -256,7 +259,8 @@ def tied_by(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
 def names_object(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     """Return no difference if no other object is held or moves."""
-    own, p = s.body(str(value)), s.p
+    own = s.body(str(value))
+    p = s.p
     others = (p.held | p.active)[:, s.pieces]
     return unless(np.any(np.delete(others, own, axis=0)))
 
@@ -266,7 +270,8 @@ def order(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
     They cross, one above the other, when they begin to descend vertically.
     """
-    p, lowered = s.p, s.pieces[((s.p.state == LAID) & s.p.vertical)[s.pieces]][:1]
+    p = s.p
+    lowered = s.pieces[((s.p.state == LAID) & s.p.vertical)[s.pieces]][:1]
     places = np.argsort(p.edge[np.array(value, dtype=int)])
     if not len(lowered):
         return math.inf
@@ -287,12 +292,14 @@ def assigned(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
 def legs(s: Step, value: Any, _: Mapping[str, Any], end: int = -1) -> Shown:
     """Yield differences of lengths of q-legs, and of their roll where nothing weighs on clasps."""
-    p, piece = s.p, s.pieces[end]
+    p = s.p
+    piece = s.pieces[end]
     sharing, roll = value, None
     if isinstance(value, dict):
         sharing, roll = value.get("sharing"), value.get("roll_deg")
     if isinstance(sharing, list):
-        chords, asked = p.legs.c[0][piece, ::2, 0, end], np.array(sharing, dtype=float)
+        chords = p.legs.c[0][piece, ::2, 0, end]
+        asked = np.array(sharing, dtype=float)
         sag = (p.weight / p.team[:, 0]) ** 2 * asked**3 / 24.0  # lengths are longer than chords
         yield from np.maximum(np.abs(chords - asked) - 2.0 * sag, 0.0).tolist()
     if roll not in (None, "auto"):
@@ -304,8 +311,11 @@ def rolls(s: Step, end: int) -> Array:
 
     They are about the sum of both legs' pulls.
     """
-    p, count, zero = s.p, len(s.p.clasps), np.zeros(len(s.p.clasps))
-    ahead, behind = 2 * p.clasps, 2 * p.behind + 1
+    p = s.p
+    count = len(s.p.clasps)
+    zero = np.zeros(len(s.p.clasps))
+    ahead = 2 * p.clasps
+    behind = 2 * p.behind + 1
     at = Spans(p, np.full(count, s.pieces[end]), ahead[:, None], zero - end, zero)
     q, r = (normalize(at.leg_chord(i).v) for i in (ahead, behind))
     axis = normalize(q * at.pull(ahead).v + r * at.pull(behind).v)
@@ -330,9 +340,11 @@ def swap(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     The axis of a pair is normal to the chord of its drones, and tilted upward from horizontal so
     that the upper drone passes inside.
     """
-    p, phases = s.p, [x for x in s.phases if x["state"] == CLASPING]
+    p = s.p
+    phases = [x for x in s.phases if x["state"] == CLASPING]
     seconds, radius = value.get("seconds") or 0.0, value.get("radius") or 0.0
-    tilt, stated = value.get("tilt_deg"), value.get("sense", 0)
+    tilt = value.get("tilt_deg")
+    stated = value.get("sense", 0)
     sense = int(SENSES.get(stated, stated))
     yield from (max(seconds - (x["end"] - x["start"]), 0.0) for x in phases)
     on = s.pieces[p.state[s.pieces] == CLASPING]
@@ -587,7 +599,8 @@ def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
     if isinstance(value, str):
         return isinstance(own[name], str) and own[name] != value
     try:
-        stated, found = np.array(value, dtype=float), np.array(own[name], dtype=float)
+        stated = np.array(value, dtype=float)
+        found = np.array(own[name], dtype=float)
         stated = np.radians(stated) if key.endswith("_deg") else stated
         if name == "tilt":  # the plan has that of controllers that tilt less
             found = np.maximum(stated, found)
@@ -598,7 +611,8 @@ def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
 
 def start_faults(p: Plan) -> Iterator[Fault]:
     """Yield keys of the start where the plan begins elsewhere."""
-    start, s = p.asked["start"], Step(p, np.array([0]), p.phases[:1], vertices_at(p, 0, 0), False)
+    start = p.asked["start"]
+    s = Step(p, np.array([0]), p.phases[:1], vertices_at(p, 0, 0), False)
     hitch, drones = (start.get(x) if isinstance(start, dict) else None for x in ("hitch", "drones"))
     shown = dict[str, Any]()
     if hitch:
@@ -624,7 +638,8 @@ def step_faults(p: Plan) -> Iterator[Fault]:
     yield float(p.breaks[0]), len(steps) != len(mission), words
     goals: Array | None = None  # of a step that goes on without a stop
     for i, (phases, step) in enumerate(zip(steps, mission, strict=False)):
-        start, end = float(phases[0]["start"]), float(phases[-1]["end"])
+        start = float(phases[0]["start"])
+        end = float(phases[-1]["end"])
         within = (p.breaks[:-1] >= start - POS_TOL) & (p.breaks[1:] <= end + POS_TOL)
         moving = [x for x in phases if x["name"] != "wait"] or phases
         pieces = np.flatnonzero(within)

@@ -57,7 +57,8 @@ class Slab:
     """A convex section between two heights: clockwise corners and a radius around them."""
 
     def __init__(self, outline: Any, radius: Any, lower: float, upper: float) -> None:
-        self.round, self.radius = outline is None, radius or 0.0
+        self.round = outline is None
+        self.radius = radius or 0.0
         self.lower, self.upper = lower, upper
         self.core = np.array([[0.0, 0.0]] if outline is None else outline, dtype=float)
         self.sides = np.roll(self.core, -1, 0) - self.core
@@ -114,7 +115,8 @@ class Slab:
         for a, b in pairwise(points if points[1:] else points * 2):
             low, high = np.zeros((len(a.v), 1)), np.ones((len(a.v), 1))
             for _ in range(60 if a is not b else 0):
-                x, y = low + (high - low) / 3.0, high - (high - low) / 3.0
+                x = low + (high - low) / 3.0
+                y = high - (high - low) / 3.0
                 one, two = (norm(self.gap_vectors(a.v + z * (b.v - a.v))) for z in (x, y))
                 low, high = np.where(one > two, x.T, low.T).T, np.where(one > two, high.T, y.T).T
             w = normalize(self.gap_vectors(a.v + low * (b.v - a.v)))
@@ -126,7 +128,9 @@ class Slab:
 
 def to_frame(pose: Array, x: Array) -> Array:
     """Return points x (…, 3) in the frames of bodies with poses (…, 5)."""
-    o, c, r = x - pose[..., :3], pose[..., 3], pose[..., 4]
+    o = x - pose[..., :3]
+    c = pose[..., 3]
+    r = pose[..., 4]
     return np.stack([c * o[..., 0] + r * o[..., 1], c * o[..., 1] - r * o[..., 0], o[..., 2]], -1)
 
 
@@ -139,7 +143,8 @@ def signed_distance(a: Sequence[Line], b: Sequence[Line]) -> Line:
 
 def intersections(a: Array, u: Array, b: Array, w: Array) -> tuple[Array, Array]:
     """Return x and y at which segments a + x u and b + y w cross horizontally, or nan."""
-    offset, turn = b - a, u[..., 0] * w[..., 1] - u[..., 1] * w[..., 0]
+    offset = b - a
+    turn = u[..., 0] * w[..., 1] - u[..., 1] * w[..., 0]
     x, y = (offset[..., 0] * v[..., 1] - offset[..., 1] * v[..., 0] for v in (w, u))
     x, y = (z / np.where(turn == 0.0, TINY, turn) for z in (x, y))
     inside = (x > 0.0) & (x < 1.0) & (y > 0.0) & (y < 1.0)

@@ -73,8 +73,10 @@ class Spans:
     ) -> None:
         self.plan, self.piece, self.item, self.x, self.w = plan, piece, item, x, w
         self.effort = plan.effort
-        self.t, self.names = np.maximum(w * plan.h[piece], 1e-12), names
-        self.moving, self._weights = 1.0 + 0.0 * x, dict[int, Array]()
+        self.t = np.maximum(w * plan.h[piece], 1e-12)
+        self.names = names
+        self.moving = 1.0 + 0.0 * x
+        self._weights = dict[int, Array]()
         self.zero = Line(0.0 * x[:, None], 0.0 * x[:, None], 0.0 * x, self.t)
         self.time = plan.breaks[piece] + x * plan.h[piece]
 
@@ -90,7 +92,8 @@ class Spans:
     def weights(self, n: int) -> Array:
         """Return Bernstein polynomials of degree n at midpoints (m, n + 1)."""
         if n not in self._weights:
-            x, j = self.x[:, None], np.arange(n + 1)
+            x = self.x[:, None]
+            j = np.arange(n + 1)
             binomials = np.array([math.comb(n, k) for k in j.tolist()], dtype=float)
             self._weights[n] = binomials * x**j * (1.0 - x) ** (n - j)
         return self._weights[n]
@@ -101,7 +104,8 @@ class Spans:
 
     def subspan(self, middle: Array | float, width: float = 0.0) -> Spans:
         """Return parts of spans: midpoint and half width are relative to the half width."""
-        x, w = self.x + middle * self.w, width * self.w
+        x = self.x + middle * self.w
+        w = width * self.w
         return Spans(self.plan, self.piece, self.item, x, w, self.names)
 
     def point(self, i: Index, k: int = 0) -> Line:
@@ -119,7 +123,8 @@ class Spans:
 
     def halves(self, k: Index, end: int) -> list[list[Line]]:
         """Return both ends of edge and leg beyond the contact at an end of cables, inside first."""
-        inner, outer = self.point(self.plan.edges[3 * end, k]), self.point(2 * k + end)
+        inner = self.point(self.plan.edges[3 * end, k])
+        outer = self.point(2 * k + end)
         return [[self.point(self.plan.edges[1 + end, k]), inner], [inner, outer]]
 
     def ends(self, k: Index, b: int = -1) -> list[Line]:
@@ -152,7 +157,8 @@ class Spans:
         In plan view they span the hull of the chord and of the route over the middles of turning
         pairs, or over the vertices, and over the vertices of the hitch before or after.
         """
-        p, ends = self.plan, []
+        p = self.plan
+        ends = []
         turning = p.state[self.piece] == CLASPING
         for vertex in (p.begin[k], p.end[k]):
             one, other = p.pairs[vertex - p.N].T
@@ -228,7 +234,8 @@ class Spans:
 
     def pull(self, i: Index) -> Line:
         """Return ``P = (w/2) sin γ + √(T² - (w/2)² cos² γ)``: forces of legs along their chords."""
-        leg, k = self.leg_chord(i), i // 2
+        leg = self.leg_chord(i)
+        k = i // 2
         weight = leg[2] * self.tautness(k) * (0.5 * self.plan.weight)
         return self.chord_force(self.plan.pulls.on(self, i), k, leg[:2].dot(leg[:2])) + weight
 
@@ -238,7 +245,8 @@ class Spans:
         Those of chains may slope: the ``sense`` is 1 at their start, -1 at their end.
         """
         chord = self.point(self.plan.end[k]) - self.point(self.plan.begin[k])
-        edge, slope = chord[:2], chord[2] * (0.5 * self.plan.weight * sense)
+        edge = chord[:2]
+        slope = chord[2] * (0.5 * self.plan.weight * sense)
         if self.plan.has_contacts:
             edge = -(self.leg(2 * k).norm() + self.leg(2 * k + 1).norm()) + self.plan.length[k]
         pull = self.chord_force(self.plan.tensions.on(self, k), k, edge.dot(edge))
@@ -256,7 +264,8 @@ class Spans:
 
     def world(self, b: int, x: Array, k: int = 0) -> Line:
         """Return the k-th derivative of the world position of a point x (3,) of body b."""
-        pose, up = self.plan.poses.on(self, b, k), float(x[2]) * (k == 0)
+        pose = self.plan.poses.on(self, b, k)
+        up = float(x[2]) * (k == 0)
         c, r = pose[3], pose[4]
         return pose[:3] + concatenate(c * x[0] - r * x[1], r * x[0] + c * x[1], self.zero + up)
 
@@ -273,8 +282,15 @@ def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> 
         return Row(name, unit, "not proven", math.nan, limit, sense, math.nan, "", samples=0)
     sign = 1.0 if sense == "min" else -1.0
     target = sign * limit - TOLERANCE * max(abs(limit), s.plan.size if unit == "m" else 0.0)
-    worst, time, where, verdict, samples, depth = math.inf, 0.0, "", "proven", 0, 0
-    effort, start, granted = s.effort, s.effort.spent, ROW_EFFORT
+    worst = math.inf
+    time = 0.0
+    where = ""
+    verdict = "proven"
+    samples = 0
+    depth = 0
+    effort = s.effort
+    start = s.effort.spent
+    granted = ROW_EFFORT
     while len(s.x):
         bounds = []
         for part in (s.select(slice(i, i + CHUNK)) for i in range(0, len(s.x), CHUNK)):
@@ -284,9 +300,12 @@ def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> 
             value = np.nan_to_num(x.v[:, 0], nan=-BIG)
             i = int(np.argmin(value))
             if value[i] < worst:
-                worst, time = float(value[i]), float(part.time[i])
+                worst = float(value[i])
+                time = float(part.time[i])
                 where = ", ".join(s.names[c][k] for c, k in enumerate(part.item[i]))
-        bound, depth, samples = np.concatenate(bounds), depth + 1, samples + len(s.x)
+        bound = np.concatenate(bounds)
+        depth = depth + 1
+        samples = samples + len(s.x)
         undecided = bound < target
         error = max(RESOLUTION * max(abs(limit), 1e-3), 0.02 * (worst - target))
         effort.spent += PER_SAMPLE * len(s.x)

@@ -40,7 +40,9 @@ PX4_VELOCITY = ((1.2, 5.0), (2.0, 15.0))  # [1/s] smallest and largest gains of 
 
 def loop_stiffness(kind: dict[str, Any]) -> Array:
     """Return the stiffness (3,) [N/m] of a drone's position loop."""
-    name, mass, gains = kind["controller"], kind["mass"], kind["gains"] or {}
+    name = kind["controller"]
+    mass = kind["mass"]
+    gains = kind["gains"] or {}
     if name is None:
         return np.full(3, kind["stiffness"] or STIFFEST * mass)
     default = MELLINGER if name == "mellinger" else [mass * x for x in PER_MASS[name]]
@@ -72,10 +74,13 @@ class Rest:
         self.nodes: Items = np.stack([2 * k, node[p.begin - N], node[p.end - N], 2 * k + 1], axis=1)
         self.exists = np.insert(p.leg.reshape(n, 2), 1, True, axis=1)
         self.vertices, self.at, self.tensions = vertices, node, tensions
-        self.length, self.weight, self.load = p.length[:, 0], p.weight, G * p.load[:, 0]
+        self.length = p.length[:, 0]
+        self.weight = p.weight
+        self.load = G * p.load[:, 0]
         kinds = p.settings["team"]["quadrotor"]
         each = np.repeat([loop_stiffness(kind) for kind in kinds], N // len(kinds), axis=0)
-        self.stiffness, self.setpoints = each[p.drone], drones
+        self.stiffness = each[p.drone]
+        self.setpoints = drones
         self.planned = np.concatenate([drones, vertices[clasps]])
         ends = self.planned[self.nodes]
         self.heights = 0.5 * (ends[:, 1, 2] + ends[:, 2, 2])
@@ -193,7 +198,8 @@ class Rest:
         )
         group = np.concatenate([np.arange(n), n + np.arange(3 * N) // 3, n + N + np.arange(2 * n)])
         moves = moves * size
-        sums, total = np.zeros((len(moves), 3, 3)), np.zeros(len(moves))
+        sums = np.zeros((len(moves), 3, 3))
+        total = np.zeros(len(moves))
         for j in range(n + N + 2 * n):
             part = moves[:, :, group == j]
             trace = np.sqrt(np.sum(part**2, axis=(1, 2)))

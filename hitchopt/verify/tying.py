@@ -57,7 +57,8 @@ def bent_cables(p: Plan) -> Iterator[Row]:
     legs = Spans.of(p, p.bent, range(p.N), p.names)
     both = Spans.of(p, p.bent, [[0, 1]], p.cables, p.cables)
     clasps = Spans.of(p, p.bent, range(len(p.clasps)), p.labels[p.V])
-    cable, parts = p.segments[:, 2], p.segment_names
+    cable = p.segments[:, 2]
+    parts = p.segment_names
     pairs = np.argwhere((cable[:, None] == 0) & (cable == 1))
     loose = Spans.of(p, p.bent & ~np.any(p.held, axis=0), pairs, parts, parts)
     near = partial(distance, ratio=p.ratio)
@@ -91,10 +92,13 @@ def edge_residual(s: Spans, i: Index) -> Line:
     Not counted are PASSED of the weight, which the other cable may bear, and horizontal forces of
     second order, ``(½ ρ g L / T)²``, since both are chords of one sagging cable.
     """
-    p, k, (leaving, arriving) = s.plan, i // 2, s.edge(i // 2)
+    p = s.plan
+    k = i // 2
+    leaving, arriving = s.edge(i // 2)
     is_first = np.equal(i % 2, 0)
     edge = leaving.where(is_first) - arriving.where(~is_first)
-    other, pull = s.leg(i + 1 - 2 * (i % 2)).norm(), s.edge_pull(k)
+    other = s.leg(i + 1 - 2 * (i % 2)).norm()
+    pull = s.edge_pull(k)
     weight = s.tautness(k) * (-other + p.length[k]) * (0.5 * p.weight)
     force = s.leg_chord(i).unit() * s.pull(i) + edge.unit() * pull - weight * UP
     share = maximum(minimum(pull, s.pull(i)), MIN_TENSION).inverse()
@@ -115,7 +119,8 @@ def crossing_height(s: Spans, c: Index, signs: Array) -> Line:
 
     Signs (pieces, clasps) say which cable is above, 0 where either may be.
     """
-    sign, gaps = signs[s.piece, c, None], list[Line]()
+    sign = signs[s.piece, c, None]
+    gaps = list[Line]()
     for a, b in crossing_parts(s, c):
         crossed = signed_distance(a, b) * sign - np.where(sign == 0.0, FAR, 0.0)
         gaps.append(maximum(crossed, distance(a, b) - (2.0 * SAG_TOL + MIN_GAP)))
@@ -145,12 +150,14 @@ def chord_share(s: Spans, k: Index) -> Line:
     While cables are drawn taut, errors may make them straight if drones are slow. Laid ones are
     taut, and ``loss_displacement`` assumes how loose ones may be pulled.
     """
-    p, chord = s.plan, s.q_to_r(k)
+    p = s.plan
+    chord = s.q_to_r(k)
     errs = ~np.isin(p.state, (DRAWN, LAID, LOOSE))
     error = np.where(errs[s.piece, None], 2.0 * p.tracking, 0.0)
     if p.ratio == 1.0:
         return (chord.norm() + error) * (1.0 / p.length[k])
-    level, height = chord[:2].norm() + error, chord[2].norm() + error * p.ratio
+    level = chord[:2].norm() + error
+    height = chord[2].norm() + error * p.ratio
     return concatenate(level, height).norm() * (1.0 / p.length[k])
 
 
@@ -166,7 +173,8 @@ def foreign_drones(p: Plan) -> Items:
 
 def hanging_cables(p: Plan) -> Iterator[Row]:
     """Prove distances of drones from cables that lie on the ground, or hang below their drones."""
-    foreign, ends = foreign_drones(p), (p.names, p.cables)
+    foreign = foreign_drones(p)
+    ends = (p.names, p.cables)
     level = (p.state == "on the ground") | (p.state == DRAWN)
     hangs = p.free & ~level & (p.state != LOOSE)
     lying = Spans.of(p, p.free & level, foreign, *ends)
@@ -200,7 +208,8 @@ def sheet_gap(s: Spans, i: Index, k: Index) -> Line:
 
 def clasping_cables(p: Plan) -> Iterator[Row]:
     """Prove distances of hulls of cables that clasp from each other, and of drones from them."""
-    pairs, foreign = np.triu_indices(p.n, 1), foreign_drones(p)
+    pairs = np.triu_indices(p.n, 1)
+    foreign = foreign_drones(p)
     apart = p.clasping[:, None] & ~p.clasped[pairs]
     loose = Spans.of(p, apart, np.column_stack(pairs), p.cables, p.cables)
     on_clasps = p.pairs[np.stack([p.begin, p.end], -1)[foreign[:, 1]] - p.N]
@@ -284,7 +293,8 @@ def laid_cables(p: Plan) -> Iterator[Row]:
     yield prove("cable_length ratio max", 1e-4, s, length_error)
     pairs = Spans.of(p, laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
     yield prove(*p.crossing_limit, pairs, gap)
-    half_crossings, unlinked = np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros(len(p.clasps))
+    half_crossings = np.zeros((p.n, p.n, len(p.h) + 1))
+    unlinked = np.zeros(len(p.clasps))
     _, sign, least = replay(p, half_crossings, unlinked, unlinked)
     s = Spans.of(p, laid & p.vertical, range(len(p.clasps)), p.labels[p.V])
 

@@ -84,7 +84,9 @@ def _above_and_below_ground(
     motion: Motion, states: States, max_radius: float
 ) -> tuple[Array, float]:
     """Return the cables, which may sag below the ground, and their drawn radius."""
-    t, drones, radius = motion.drones.breaks[0] + states.t, states.positions, max_radius
+    t = motion.drones.breaks[0] + states.t
+    drones = states.positions
+    radius = max_radius
     times, shares = _hooked_shares(motion, t)
     points = _free_cables(motion, drones, np.linspace(0.0, 1.0, POINTS))
     pieces = np.searchsorted(motion.drones.breaks[1:-1], t, side="right")
@@ -93,7 +95,8 @@ def _above_and_below_ground(
     samples = np.flatnonzero(shares > 0.0)
     if len(samples):
         times = times[samples]
-        drones, vertices = drones[samples], motion.vertices.at(times)
+        drones = drones[samples]
+        vertices = motion.vertices.at(times)
         contacts = motion.contacts.at(times) if motion.has_wraps else None
         layout = motion.team.layout  # bends fit the shortest leg or edge
         legs = length(drones - vertices[:, layout.anchors])[:, layout.has_leg.ravel()]
@@ -117,7 +120,8 @@ def clasp_senses(motion: Motion) -> Array:
     It is on top if q passes over r during clasping, or under r during a roll in either direction,
     and where the clasp does not turn.
     """
-    layout, ends = motion.team.layout, motion.drones.breaks[[0, -1]]
+    layout = motion.team.layout
+    ends = motion.drones.breaks[[0, -1]]
     senses = np.ones(len(layout.clasps))
 
     def rises(times: Array) -> Array:
@@ -152,10 +156,12 @@ def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Ar
     and a tangent; the points are its ends and points on the arc.
     """
     start, end = contacts[..., 0, :], contacts[..., 1, :]
-    ahead, chord = unit(start - first), end - start
+    ahead = unit(start - first)
+    chord = end - start
     half = 0.5 * np.arccos(np.clip(dot(ahead, unit(last - end)), -1.0, 1.0))
     # The arc is a rational curve, whose middle control point has the weight cos(half).
-    s, weight = np.linspace(0.0, 1.0, EDGE - 2)[:, None], np.cos(half)[..., None]
+    s = np.linspace(0.0, 1.0, EDGE - 2)[:, None]
+    weight = np.cos(half)[..., None]
     control = weight * start + 0.5 * length(chord)[..., None] * ahead
     ends = (1.0 - s) ** 2 * start[..., None, :] + s**2 * end[..., None, :]
     basis = 2.0 * s * (1.0 - s)
@@ -172,7 +178,8 @@ def _hooked_shares(motion: Motion, t: Array) -> tuple[Array, Array]:
     The share rises in the second half of the clasping before a hitch, and falls in the first half
     of the clasping after it.
     """
-    times, shares = t.copy(), np.zeros(len(t))
+    times = t.copy()
+    shares = np.zeros(len(t))
     no_run = (CableState.NONE, 0.0, 0.0)
     runs = [no_run, *_state_runs(motion), no_run]
     for before, (state, start, end), after in zip(runs, runs[1:], runs[2:], strict=False):
@@ -183,7 +190,8 @@ def _hooked_shares(motion: Motion, t: Array) -> tuple[Array, Array]:
             )
             share = np.interp(t, [start - rise, start, end, end + fall], [0.0, 1.0, 1.0, 0.0])
             larger = share > shares
-            shares[larger], times[larger] = share[larger], np.clip(t, start, end)[larger]
+            shares[larger] = share[larger]
+            times[larger] = np.clip(t, start, end)[larger]
     return times, _smooth(shares)
 
 
@@ -218,7 +226,8 @@ def _bent_cables(motion: Motion, drones: Array, t: Array) -> Array:
     anchors, contacts = motion.inner_ends.at(t), motion.contacts.at(t)  # (times, n, 2, 3)
     pairs = drones.reshape(contacts.shape)
     total, edges = wrapped_edges(anchors[..., 0, :], anchors[..., 1, :], contacts)
-    arcs, chords = edges[..., 1:-1, :], length(pairs - contacts)
+    arcs = edges[..., 1:-1, :]
+    chords = length(pairs - contacts)
     slack = motion.team.cable_length - total + np.sum(length(anchors - contacts) - chords, axis=-1)
     lengths = _with_slack(motion, chords, slack)
     shares = np.linspace(0.0, 1.0, (POINTS - arcs.shape[-2]) // 2)
@@ -239,14 +248,16 @@ def _hooked_cables(
     motion: Motion, drones: Array, vertices: Array, bending: _Bending, contacts: Array | None
 ) -> Array:
     """Return hooked cables (times, n, POINTS, 3) [m]; edges are wrapped between their contacts."""
-    layout, radius = motion.team.layout, bending.radius
+    layout = motion.team.layout
+    radius = bending.radius
     a, b = vertices[:, layout.starts], vertices[:, layout.ends]
     corners = np.stack([drones[:, 0::2], a, b, drones[:, 1::2]], axis=2)
     chords = length(np.diff(corners, axis=2))
     if contacts is not None:
         chords[..., 1] = wrapped_edges(a, b, contacts)[0]
     lengths = _with_slack(motion, chords, motion.team.cable_length - np.sum(chords, axis=-1))
-    trim, zero = STRAIGHT_AT * radius / np.maximum(chords, MIN_LENGTH), np.zeros(a.shape[:2])
+    trim = STRAIGHT_AT * radius / np.maximum(chords, MIN_LENGTH)
+    zero = np.zeros(a.shape[:2])
     before, after = np.moveaxis(np.where(layout.has_leg, trim[..., 1:2], 0.0), -1, 0)
     cuts = ((zero, trim[..., 0]), (before, after), (trim[..., 2], zero))
     parts = []
@@ -272,12 +283,16 @@ def _bends(
 
     At a chain's ends all points of the bend are the vertex.
     """
-    layout, radius = motion.team.layout, bending.radius
+    layout = motion.team.layout
+    radius = bending.radius
     edges = unit(layout.edges(vertices))
-    p, k, j = vertices[:, layout.clasps], layout.ahead, layout.behind
+    p = vertices[:, layout.clasps]
+    k = layout.ahead
+    j = layout.behind
     q_leg = unit(drones[:, 2 * k] - p)
     r_leg = unit(drones[:, 2 * j + 1] - p)
-    sense, full_contact = bending.senses[:, None], length(edges[:, k] + edges[:, j])
+    sense = bending.senses[:, None]
+    full_contact = length(edges[:, k] + edges[:, j])
     turn = np.linspace(0.5 * np.pi, -0.5 * np.pi, BEND)
     q_side = np.repeat(vertices[:, layout.starts, None], BEND, axis=2)
     r_side = np.repeat(vertices[:, layout.ends, None], BEND, axis=2)
@@ -286,7 +301,8 @@ def _bends(
         (q_leg, edges[:, k], -sense, k, q_side, turn),
         (r_leg, -edges[:, j], sense, j, r_side, turn[::-1]),
     ):
-        opening, aside = unit(legs + along), unit(legs - along)
+        opening = unit(legs + along)
+        aside = unit(legs - along)
         across = unit(np.cross(opening, aside))
         across = across * np.where(across[..., 2:] < 0.0, -1.0, 1.0)
         leg_side = unit(aside + under * across)

@@ -67,7 +67,8 @@ class Handle:
 
     def dragged(self, text: str, place: Array) -> str:
         """Return the text of a problem file with the handle at another position (3,) [m]."""
-        by, data = (np.asarray(place, dtype=np.float64) - self.place).tolist(), parse_yaml(text)
+        by = (np.asarray(place, dtype=np.float64) - self.place).tolist()
+        data = parse_yaml(text)
         for path, axis in self.numbers:
             if by[axis]:
                 old = value_at(data, path)
@@ -100,7 +101,8 @@ def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterato
         for k, name in product(range(len(keys["q"])), ("q", "r")):
             yield handle(f"{name}[{k}]", (name, k))
     elif "polygon" in keys:
-        n, closed = len(keys["polygon"]), problem.team.topology == "closed"
+        n = len(keys["polygon"])
+        closed = problem.team.topology == "closed"
         corners: list[tuple[str | int, ...]] = [("polygon", k) for k in range(n)]
         yield from (handle(f"vertex {k}", corner) for k, corner in enumerate(corners))
         for k in range(n if closed else n - 1):
@@ -213,9 +215,12 @@ class Editing:
         self._worker: threading.Thread | None = None
         self._cache = Cache()  # an edit plans the later steps only
         self.listener: Callable[[], None] = lambda: None
-        self._texts, self._place = [text], 0
+        self._texts = [text]
+        self._place = 0
         self._on_disk = text if path.exists() else None
-        self._version, self._lock, self._planning = 0, threading.RLock(), threading.Lock()
+        self._version = 0
+        self._lock = threading.RLock()
+        self._planning = threading.Lock()
         self.problem = self._read(text)
         self.status = Status(PlanState.CURRENT)
 
@@ -236,7 +241,8 @@ class Editing:
 
     def handles(self, index: int) -> dict[str, Handle]:
         """Return the handles of a step, or of the start, by name."""
-        height, data = self._height_after(index), parse_yaml(self.text)
+        height = self._height_after(index)
+        data = parse_yaml(self.text)
         return {handle.name: handle for handle in handles(self.problem, data, index, height)}
 
     def _height_after(self, index: int) -> float:
@@ -334,7 +340,8 @@ class Editing:
 
     def _begin(self, problem: Problem) -> None:
         """Start planning the newest text; it waits until the planning of older ones has ended."""
-        self.problem, self.status = problem, Status(PlanState.PLANNING)
+        self.problem = problem
+        self.status = Status(PlanState.PLANNING)
         self._version += 1
         arguments = (self._version, problem)
         self._worker = threading.Thread(target=self._plan, args=arguments, daemon=True)

@@ -138,9 +138,11 @@ class _View(NamedTuple):
 def _ground(scene: Scene) -> Array:
     """Return the lines (m, 2, 3) [m] of a grid on the ground that extends beyond all paths."""
     lower, upper = np.min(scene.drones, axis=(0, 1))[:2], np.max(scene.drones, axis=(0, 1))[:2]
-    reach, floor = float(np.max(np.ptp(scene.drones, axis=(0, 1)))), scene.flight.requirements.floor
+    reach = float(np.max(np.ptp(scene.drones, axis=(0, 1))))
+    floor = scene.flight.requirements.floor
     step = 10.0 ** np.round(np.log10(max(reach, 1.0) / 6.0))
-    near, far = (lower - 3.0 * reach) // step * step, (upper + 3.0 * reach) // step * step + step
+    near = (lower - 3.0 * reach) // step * step
+    far = (upper + 3.0 * reach) // step * step + step
     across, up = (np.arange(near[i], far[i] + step / 2, step) for i in range(2))
     lines = [[[x, near[1], floor], [x, far[1], floor]] for x in across]
     return np.array([*lines, *([[near[0], y, floor], [far[0], y, floor]] for y in up)])

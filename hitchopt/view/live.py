@@ -107,10 +107,13 @@ class LiveView:
         self.server = server
         self.time, self.playing, self.speed, self.following = 0.0, False, 1.0, False
         self.flight, self.certificate = flight, certificate
-        self._note, self._title = "", title
-        self._lock, self._open = threading.RLock(), True
+        self._note = ""
+        self._title = title
+        self._lock = threading.RLock()
+        self._open = True
         self._ghost = None
-        self._plots, self._cursor = list[tuple[Any, dict[str, Any]]](), math.nan
+        self._plots = list[tuple[Any, dict[str, Any]]]()
+        self._cursor = math.nan
         with self.server.atomic():  # open pages show everything at once
             self.server.gui.set_panel_label(title or "hitchopt")
             self.live = LiveScene(self.server, scene_of(flight), "/plan/")
@@ -200,7 +203,8 @@ class LiveView:
                 offset = camera.position - camera.look_at
                 if closer:
                     offset *= min(1.0, distance / float(np.linalg.norm(offset)))
-                camera.position, camera.look_at = middle + offset, middle
+                camera.position = middle + offset
+                camera.look_at = middle
 
     def _send_picture(self, client: Any) -> None:
         """Send a page a picture of its view as a file."""
@@ -243,7 +247,8 @@ class LiveView:
         """Move the camera of a narrow page farther away than the initial camera."""
 
         def widen(camera: Any) -> None:
-            aspect, initial = camera.image_width / camera.image_height, self.server.initial_camera
+            aspect = camera.image_width / camera.image_height
+            initial = self.server.initial_camera
             if aspect < ASPECT and np.allclose(camera.position, initial.position, atol=1e-3):
                 with self._lock:
                     self._place_camera(camera, aspect)
@@ -337,7 +342,8 @@ class LiveView:
         self._plots.clear()
         for plot in plots_of(self.flight, self.certificate):
             t = np.array(plot["t"])
-            columns, series = [t], list[dict[str, Any]]([{"label": "t [s]"}])
+            columns = [t]
+            series = list[dict[str, Any]]([{"label": "t [s]"}])
             for k, curve in enumerate(plot["curves"]):
                 columns.append(np.array(curve, np.float64))
                 label = ("smallest", "largest")[k] if len(plot["curves"]) > 1 else "worst drone"
@@ -361,9 +367,11 @@ class LiveView:
         with self._lock:
             if self.time == self._cursor or self.certificate is None:
                 return
-            self._cursor, lines = self.time, [f"at {self.time:.2f} s:"]
+            self._cursor = self.time
+            lines = [f"at {self.time:.2f} s:"]
             for element, plot in self._plots:
-                t, curves = element.data[0], element.data[1 : 1 + len(plot["curves"])]
+                t = element.data[0]
+                curves = element.data[1 : 1 + len(plot["curves"])]
                 values = [float(np.interp(self.time, t, curve)) for curve in curves]
                 span = " to ".join(f"{value:.3g}" for value in values if math.isfinite(value))
                 lines.append(f"{plain_words(element.title)}: **{span or '–'}**")
@@ -416,7 +424,9 @@ class Buttons:
                     self.buttons.append(self._gui.add_button(label, color=colour))
                 self.buttons[i].on_click(lambda _, i=i: self._on_click(i))
             button = self.buttons[i]
-            button.label, button.color, button.visible = label, colour, True
+            button.label = label
+            button.color = colour
+            button.visible = True
         for button in self.buttons[len(labels) :]:
             button.visible = False
 

@@ -39,15 +39,22 @@ class LiveScene:
     """
 
     def __init__(self, server: Server, scene: Scene, name: str, *, ghost: bool = False) -> None:
-        self.scene, self._api, self._name, self._ghost = scene, server.scene, name, ghost
-        self._highlight, self._faded = Highlight(), False
-        self._time, self._moment = 0.0, scene.at(0.0)
+        self.scene = scene
+        self._api = server.scene
+        self._name = name
+        self._ghost = ghost
+        self._highlight = Highlight()
+        self._faded = False
+        self._time = 0.0
+        self._moment = scene.at(0.0)
         few = scene.drones.shape[1] <= MAX_NAMED
         self.visible = {switch: few and switch in ("trails", "names") for switch in SWITCHES}
-        colours, cables = scene.appearance.cable_colours, _segments(self._moment.cables)
+        colours = scene.appearance.cable_colours
+        cables = _segments(self._moment.cables)
         self._cable_colours = (PALE_COLOUR,) * len(colours) if ghost else colours
         self._cables = self._lines("cables", cables, self._cable_colours, 2.0 * scene.radius)
-        opacity, pale = PALE_OPACITY if ghost else None, _as_bytes((PALE_COLOUR,))[0]
+        opacity = PALE_OPACITY if ghost else None
+        pale = _as_bytes((PALE_COLOUR,))[0]
         self._drones = list[Any]()
         for part in scene.appearance.drone_parts():
             drones = pale if ghost else _as_bytes(part.colours, linear=True)
@@ -101,11 +108,13 @@ class LiveScene:
         moment, visible = self._moment, self.visible
         turns = moment.quaternions / np.linalg.norm(moment.quaternions, axis=-1, keepdims=True)
         for batch in self._drones:
-            batch.batched_positions, batch.batched_wxyzs = _float32(moment.drones), _float32(turns)
+            batch.batched_positions = _float32(moment.drones)
+            batch.batched_wxyzs = _float32(turns)
         if moment.cables.size:
             self._cables.points = _segments(moment.cables)
         for solid, pose in zip(self._objects, moment.objects, strict=True):
-            solid.position, solid.wxyz = pose[:3], pose[3:] / np.linalg.norm(pose[3:])
+            solid.position = pose[:3]
+            solid.wxyz = pose[3:] / np.linalg.norm(pose[3:])
         if self._ghost:
             return
         self._trails.visible = visible["trails"] and not self._faded
@@ -164,9 +173,11 @@ class LiveScene:
 
     def _add_surroundings(self) -> None:
         """Add ground, arena and keep-outs."""
-        requirements, drones = self.scene.flight.requirements, self.scene.drones
+        requirements = self.scene.flight.requirements
+        drones = self.scene.drones
         lower, upper = np.min(drones, axis=(0, 1)), np.max(drones, axis=(0, 1))
-        size, middle = 2.0 * float(np.max(upper - lower)) + 2.0, 0.5 * (lower + upper)
+        size = 2.0 * float(np.max(upper - lower)) + 2.0
+        middle = 0.5 * (lower + upper)
         cell = 10.0 ** np.round(np.log10(size / 10.0))
         self._api.add_grid(
             f"{self._name}ground", size, size, plane="xy", cell_size=cell, section_size=5.0 * cell,

@@ -23,7 +23,8 @@ REFUSAL = "This page is not one of hitchopt's live view.\n"
 def is_own_page(headers: Mapping[str, str], host: str) -> bool:
     """Return whether a request for a WebSocket is from a page of the server at ``host``."""
     try:
-        addressed, origin = headers["Host"].lower(), urlsplit(headers["Origin"].lower())
+        addressed = headers["Host"].lower()
+        origin = urlsplit(headers["Origin"].lower())
         name = urlsplit(f"//{addressed}").hostname or ""
     except (LookupError, ValueError):  # missing, repeated, or no address
         return False
@@ -49,7 +50,8 @@ def own_pages_only(host: str) -> Iterator[None]:
     is replaced for the time of the context. UnsupportedError if viser does not call it.
     """
     module = optional_module("websockets.asyncio.server", "the live view needs", "view")
-    serve, started = module.serve, []
+    serve = module.serve
+    started = []
 
     def serve_own_pages(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
         def process(connection: Any, request: Any) -> Any:

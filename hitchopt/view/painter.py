@@ -91,8 +91,11 @@ class Painter:
     def __init__(
         self, scene: Scene, camera: Camera, width: float = 0.0, size: float = 1.0, step: int = 1
     ) -> None:
-        requirements, look = scene.flight.requirements, scene.appearance
-        self.camera, self.step, self._floor = camera, step, requirements.floor
+        requirements = scene.flight.requirements
+        look = scene.appearance
+        self.camera = camera
+        self.step = step
+        self._floor = requirements.floor
         self._width = width or scene.radius
         self.cables = to_rgba_array(look.cable_colours)
         parts = look.drone_parts(size, max(MIN_ROTOR_CORNERS, SEGMENTS // step))
@@ -165,10 +168,12 @@ class Painter:
         ``width`` is a segment's half width, ``extension`` is added at both ends [m].
         """
         points = self.camera.project(curves)
-        first, last = points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3)
+        first = points[:, :-1].reshape(-1, 3)
+        last = points[:, 1:].reshape(-1, 3)
         along = unit((last - first) * [1.0, 1.0, 0.0])
         across = width * left_of(along)
-        first, last = first - extension * along, last + extension * along
+        first = first - extension * along
+        last = last + extension * along
         return np.stack([first - across, first + across, last + across, last - across], axis=1)
 
 
@@ -214,7 +219,8 @@ def shots_in_motion(flight: Flight, count: int = MOTION_PANELS) -> tuple[Shot, .
 
     These divide the longest paths between two shots into equal parts.
     """
-    shots, times = choose_shots(flight), np.linspace(0.0, flight.duration, PATH_SAMPLES)
+    shots = choose_shots(flight)
+    times = np.linspace(0.0, flight.duration, PATH_SAMPLES)
     places = flight.drones.at(flight.drones.breaks[0] + times)
     steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
     travel = np.concatenate([[0.0], np.cumsum(steps + TINY_STEP)])  # [m] of the fastest drones
@@ -237,7 +243,8 @@ def _passages(flight: Flight, shots: Sequence[Shot]) -> list[Shot]:
     times = np.linspace(0.0, flight.duration, PATH_SAMPLES)
     moments = np.concatenate([times, [shot.time for shot in shots]])
     places = flight.drones.at(flight.drones.breaks[0] + np.minimum(moments, flight.duration))
-    middles, passages = np.mean(places[..., :2], axis=1), list[Shot]()
+    middles = np.mean(places[..., :2], axis=1)
+    passages = list[Shot]()
     radius = np.max(np.linalg.norm(places[0, :, :2] - middles[0], axis=1))
     for name, body in flight.requirements.objects.items():
         distances = np.linalg.norm(middles - body.at[:2], axis=1)
@@ -264,7 +271,8 @@ def draw_storyboard(
     (samples, drones, 3) [m].
     """
     radius = scene.flight.requirements.separation.radius
-    count, drones = len(shots), scene.drones.shape[1]
+    count = len(shots)
+    drones = scene.drones.shape[1]
     camera = Camera.at_angles(AZIMUTH, ELEVATION)
     moments = [int(np.argmin(np.abs(scene.t - shot.time))) for shot in shots]
     boxes = np.array([_panel_box(scene.at(float(scene.t[i])), scene, camera) for i in moments])
@@ -344,10 +352,12 @@ def write_labels(axes: Axes, labels: Sequence[TeamLabel], drones: Array, radius:
     ``drones`` (N, 2) are projected positions of all drones, of a radius [m].
     """
     axes.apply_aspect()
-    to_pixels, pixels = axes.transData, axes.figure.dpi / 72.0
+    to_pixels = axes.transData
+    pixels = axes.figure.dpi / 72.0
     occupied = to_pixels.transform(drones)
     disc = radius * (to_pixels.transform([1.0, 0.0]) - to_pixels.transform([0.0, 0.0]))[0]
-    middle, reach = np.mean(axes.bbox, axis=0), 0.5 * np.ptp(axes.bbox, axis=0)
+    middle = np.mean(axes.bbox, axis=0)
+    reach = 0.5 * np.ptp(axes.bbox, axis=0)
     for label in labels:
         half_text = 0.5 * pixels * np.array([LETTER_WIDTH * len(label.name), LINE_HEIGHT])
         space = half_text + disc + pixels

@@ -31,9 +31,11 @@ class EditingPanel:
 
     def __init__(self, live: LiveView, editing: Editing) -> None:
         self.live, self.editing = live, editing
-        self.step, self.handle = START, ""
+        self.step = START
+        self.handle = ""
         self._lock = threading.RLock()
-        self._plan, self._built_text = editing.planned, ""
+        self._plan = editing.planned
+        self._built_text = ""
         self._elements: list[Any] = []
         self._suggestion_buttons: list[Any] = []
         self._suggestions: tuple[Any, ...] = ()
@@ -93,7 +95,8 @@ class EditingPanel:
         for element in self._elements:
             element.remove()
         self._built_text = self.editing.text
-        data, count = parse_yaml(self._built_text), len(self.editing.problem.mission)
+        data = parse_yaml(self._built_text)
+        count = len(self.editing.problem.mission)
         self.step = min(self.step, count - 1)
         by_name = self.editing.handles(self.step)
         if self.handle not in by_name:
@@ -127,7 +130,8 @@ class EditingPanel:
             group.on_click(lambda event: self._run(self._rearrange, event.target.value))
 
     def _add_values(self, data: Plain, by_name: dict[str, Handle]) -> None:
-        gui, key = self.live.server.gui, step_key(data, self.step)
+        gui = self.live.server.gui
+        key = step_key(data, self.step)
         place = None
         if by_name:
             chosen = gui.add_dropdown("handle", tuple(by_name), initial_value=self.handle)

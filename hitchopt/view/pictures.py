@@ -170,7 +170,9 @@ def panels(flight: Flight, states: States) -> tuple[Panel, ...]:
 
     Thrust is a fraction of its limit if limits differ.
     """
-    times, requirements, team = states.t + flight.drones.breaks[0], flight.requirements, flight.team
+    times = states.t + flight.drones.breaks[0]
+    requirements = flight.requirements
+    team = flight.team
     kinds = np.unique(team.max_thrust)
     thrust = np.max(length(states.thrusts(team)) / team.max_thrust, axis=-1)
     forces = Panel("thrust", "largest thrust\n/ its limit", thrust, 1.0, share=True)
@@ -467,7 +469,8 @@ def _has_cables(flight: Flight) -> bool:
 def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> None:
     """Draw a quantity at times [s], its limit, the forbidden range and the certificate's worst."""
     axes.plot(t, panel.values, color=INK, linewidth=CURVE_WIDTH, zorder=3)
-    worst, is_minimum = panel.worst_of(certificate), RULE_OF[panel.name].sense == "min"
+    worst = panel.worst_of(certificate)
+    is_minimum = RULE_OF[panel.name].sense == "min"
     top = 1.22 * max(panel.limit, float(np.max(panel.values)), worst[1] if worst else 0.0)
     axes.axhline(panel.limit, color=LIMIT_COLOUR, linewidth=1.2, linestyle=DASHES, zorder=2)
     forbidden = (0.0, panel.limit) if is_minimum else (panel.limit, top)
@@ -524,7 +527,9 @@ def draw_plan_view(axes: Axes, flight: Flight, gap: float = PLAN_GAP) -> None:
 
     ``gap`` is the distance of the legend below, as a fraction of the axes' height.
     """
-    requirements, cables, look = flight.requirements, _has_cables(flight), Appearance.of(flight)
+    requirements = flight.requirements
+    cables = _has_cables(flight)
+    look = Appearance.of(flight)
     ends = scene_at(flight, np.array([0.0, flight.duration]))
     flown = _flown(flight)[..., :2]
     _draw_flight(axes, flight, FROM_ABOVE)
@@ -551,7 +556,8 @@ def draw_plan_view(axes: Axes, flight: Flight, gap: float = PLAN_GAP) -> None:
             handles.append(Patch(fc=solid.colours[0], ec="0.4", label=solid.name))
     if (arena := requirements.arena) is not None and not cables:
         extent = np.vstack([extent, arena.lower[:2], arena.upper[:2]])
-        (x, y), (width, depth) = arena.lower[:2], arena.upper[:2] - arena.lower[:2]
+        x, y = arena.lower[:2]
+        width, depth = arena.upper[:2] - arena.lower[:2]
         box = Rectangle((x, y), width, depth, fill=False, ec="0.4", label="arena")
         handles.append(axes.add_artist(box))
     _show_extent(axes, extent, requirements.separation.radius)
@@ -565,7 +571,8 @@ def draw_side_view(axes: Axes, flight: Flight) -> None:
     _draw_flight(axes, flight, FROM_THE_SIDE)
     for prism in flight.requirements.keep_out:
         x = prism.polygon.vertices[:, 0]
-        corner, size = (np.min(x), prism.lower), (np.ptp(x), prism.upper - prism.lower)
+        corner = (np.min(x), prism.lower)
+        size = (np.ptp(x), prism.upper - prism.lower)
         axes.add_artist(Rectangle(corner, *size, **KEEP_OUT))
     flown = _flown(flight)[..., [0, 2]].reshape(-1, 2)
     axes.axhline(floor, color="0.4", linewidth=0.8)
@@ -584,7 +591,9 @@ def _flown(flight: Flight) -> Array:
 
 def _draw_flight(axes: Axes, flight: Flight, view: View) -> None:
     """Draw paths, and cables and ellipsoids at the start and at the end."""
-    plane, cables, colours = [*view.plane], _has_cables(flight), Appearance.of(flight).drone_colours
+    plane = [*view.plane]
+    cables = _has_cables(flight)
+    colours = Appearance.of(flight).drone_colours
     ends = scene_at(flight, np.array([0.0, flight.duration]))
     flown = _flown(flight)[..., plane]
     opacity = PATH_OPACITY if cables else 1.0
@@ -624,7 +633,8 @@ def _draw_ellipsoids(axes: Axes, sizes: Array, points: Array, fill: Any, edge: A
 
 def _write_names(axes: Axes, flight: Flight, ends: Array) -> None:
     """Write names of teams or single drones next to ``ends`` (N, 2), or of vertices."""
-    team, drawn = flight.team, Appearance.of(flight)
+    team = flight.team
+    drawn = Appearance.of(flight)
     labels = drawn.labels
     if not (labels or team.has_cables) and len(ends) <= MAX_NAMED:
         each = zip(drawn.drones, drawn.drone_colours, range(len(ends)), strict=True)

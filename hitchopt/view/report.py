@@ -86,7 +86,9 @@ def write_report(
     ``problem`` is the text of its file. The plan's files, whose digests the report states, are in
     ``directory``, by default that of ``path``. Raises OSError if the file cannot be written.
     """
-    scene, name, arrays = scene_of(flight), title or "Plan", dict[str, Array]()
+    scene = scene_of(flight)
+    name = title or "Plan"
+    arrays = dict[str, Array]()
     if ghost is not None:
         arrays["ghost"] = np.stack([ghost.at(time).cables for time in scene.t.tolist()])
     arrays |= {
@@ -205,7 +207,8 @@ def _solid(solid: RigidSurface) -> dict[str, Any]:
 
 def plots_of(flight: Flight, certificate: Certificate) -> Iterator[dict[str, Any]]:
     """Yield the plots of limited quantities, and of the extreme tensions of each hitch."""
-    states, duration = sample_states(flight), flight.duration
+    states = sample_states(flight)
+    duration = flight.duration
     for panel in panels(flight, states):
         bound = (np.array([0.0, duration]), np.full(2, panel.limit), f"limit {panel.limit:.4g}")
         worst = panel.worst_of(certificate)

@@ -94,10 +94,13 @@ def scene_at(flight: Flight, t: Array, thickness: float = THICKNESS) -> Scene:
 
     ``thickness`` is the radius of a drawn cable as a fraction of the scene's extent.
     """
-    begin, rows, radii = flight.drones.breaks[0], list[Any](), list[float]()
+    begin = flight.drones.breaks[0]
+    rows = list[Any]()
+    radii = list[float]()
     poses = [flight.poses.at(begin + np.minimum(t, flight.duration))]
     for each in flight.all_teams:
-        own, is_other = each.motion, each in flight.others
+        own = each.motion
+        is_other = each in flight.others
         states = states_at(own, np.clip(begin + t - own.drones.breaks[0], 0.0, own.duration))
         cables, radius = cable_curves(own, states, thickness)
         thrusts = np.linalg.norm(states.thrusts(own.team), axis=-1)
@@ -110,10 +113,8 @@ def scene_at(flight: Flight, t: Array, thickness: float = THICKNESS) -> Scene:
     drones, attitudes, thrusts, forces, curves = (
         np.concatenate(each, axis=1) for each in zip(*rows, strict=True)
     )
-    objects, radius = (
-        np.concatenate([pose[..., :3], *turns], axis=-1),
-        min(radii, default=MIN_RADIUS),
-    )
+    objects = np.concatenate([pose[..., :3], *turns], axis=-1)
+    radius = min(radii, default=MIN_RADIUS)
     return Scene(drones, attitudes, thrusts, forces, curves, objects, flight, t, radius)
 
 
@@ -172,7 +173,8 @@ def recorded_scene(
     plan.drones[:, drones] = curves[:, :, [0, -1]].reshape(len(curves), -1, 3)
     plan.quaternions[:, drones] = [1.0, 0.0, 0.0, 0.0]
     plan.thrusts[:, drones], plan.cable_forces[:, drones] = 0.0, 0.0
-    plan.cables[:, cables], plan.objects[:, : poses.shape[1]] = curves, poses[in_flight]
+    plan.cables[:, cables] = curves
+    plan.objects[:, : poses.shape[1]] = poses[in_flight]
     return replace(plan, radius=scene_of(flight, 0).radius)
 
 
@@ -186,7 +188,10 @@ class Highlight(NamedTuple):
 
 def highlight_of(flight: Flight, where: Sequence[str]) -> Highlight:
     """Return the indices for the names in ``where`` of a check; unknown names are ignored."""
-    drones, cables, vertices, names = [], [], [], set(where)
+    drones = []
+    cables = []
+    vertices = []
+    names = set(where)
     for each in flight.all_teams:
         team = each.motion.team
         pairs = zip(team.drone_names, team.leg_names, strict=True)
@@ -222,7 +227,8 @@ def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, 
     boxes.append(_prism(sides * (0.22 * size), -0.12 * size, 0.12 * size))
     ring = np.column_stack([rotor * _circle(segments), np.zeros(segments)])
     k = np.arange(segments)
-    hub, after = np.zeros((segments // 2, 3)), (k + 1) % segments
+    hub = np.zeros((segments // 2, 3))
+    after = (k + 1) % segments
     disc = np.stack([hub, ring[0::2], ring[1::2], ring[after[1::2]]], axis=1)
     rim = np.stack([ring, ring[after], 1.18 * ring[after], 1.18 * ring], axis=1)
     rotors, rims = (np.concatenate([part + at for at in centres]) for part in (disc, rim))
@@ -274,12 +280,16 @@ class Appearance:
     @classmethod
     def of(cls, flight: Flight) -> Appearance:
         """Return the appearance of a plan's teams, and of other plans."""
-        requirements, clasps, vertices, cables = flight.requirements, list[Clasp](), 0, 0
+        requirements = flight.requirements
+        clasps = list[Clasp]()
+        vertices = 0
+        cables = 0
         names, hollow, labels = list[str](), list[bool](), list[TeamLabel]()
         looks = team_colours(flight)
         bodies = list(requirements.objects.items())
         for each in flight.all_teams:
-            team, layout = each.motion.team, each.motion.team.layout
+            team = each.motion.team
+            layout = each.motion.team.layout
             first = len(names)
             names += map(each.label, team.drone_names)
             hollow += [name[0] == "r" for name in team.drone_names]
@@ -323,7 +333,8 @@ class Appearance:
 
     def drone_parts(self, size: float = 1.0, segments: int = SEGMENTS) -> tuple[RigidSurface, ...]:
         """Return the parts of drones, scaled by ``size``; rotors of drones r are hollow."""
-        rims, pairs = self.drone_colours, zip(self.hollow, self.drone_colours, strict=True)
+        rims = self.drone_colours
+        pairs = zip(self.hollow, self.drone_colours, strict=True)
         rotors = tuple(HOLLOW_COLOUR if hollow else colour for hollow, colour in pairs)
         faces = drone_faces(size * self.ellipsoid[0], segments)
         colours = (FRAME_COLOUR,) * len(rims), rotors, rims

@@ -107,7 +107,8 @@ def facts(flight: Flight) -> str:
     """Return the teams and the duration of a plan as text."""
     parts = []
     for each in flight.teams:
-        team, name = each.motion.team, f"{each.name}: " if each.name else ""
+        team = each.motion.team
+        name = f"{each.name}: " if each.name else ""
         robots = f"{counted(team.robots, 'robot')}, " if team.has_cables else ""
         parts.append(f"{name}{robots}{counted(team.drones, 'drone')}")
     if flight.others:

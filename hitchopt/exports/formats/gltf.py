@@ -53,14 +53,17 @@ class Gltf(Format):
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the plan's drones, cables and objects at the task's rate."""
-        flight, frame, document = task.flight, task.frame, _Document()
+        flight = task.flight
+        frame = task.frame
+        document = _Document()
         t = sample_times(flight.duration, task.rate)
         scene = scene_at(flight.without_others, t)
         single = t.astype(np.float32)
         if single[-1] < t[-1]:  # rounded up, so that the whole plan is included
             single[-1] = np.nextafter(single[-1], np.float32(np.inf))
         times = document.numbers(single)
-        appearance, bodies = scene.appearance, list[tuple[str, Array, Array]]()
+        appearance = scene.appearance
+        bodies = list[tuple[str, Array, Array]]()
         looks = document.meshes("drones", appearance.drone_parts())
         meshes = [looks[i] for i in task.order]
         for i, name in zip(task.order.tolist(), task.names, strict=True):
@@ -68,7 +71,8 @@ class Gltf(Format):
         for i, solid in enumerate(appearance.objects):
             meshes += document.meshes("objects", [solid])
             bodies.append((solid.name, scene.objects[:, i, :3], scene.objects[:, i, 3:]))
-        roots, turn = [], Rotation.from_euler("z", frame.yaw)
+        roots = []
+        turn = Rotation.from_euler("z", frame.yaw)
         for mesh_, (name, positions, quaternions) in zip(meshes, bodies, strict=True):
             rotation = (turn * Rotation.from_quat(quaternions, scalar_first=True)).as_quat()
             rotation = np.column_stack([y_up(rotation[:, :3]), rotation[:, 3]])
@@ -84,7 +88,8 @@ class Gltf(Format):
         ]
         for k, (name, shape) in enumerate(zip(labels, shapes, strict=True)):
             points = y_up(frame.points(scene.cables[:, k, SPANS]))
-            vectors, midpoints = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
+            vectors = np.diff(points, axis=1)
+            midpoints = 0.5 * (points[:, 1:] + points[:, :-1])
             scales = np.full_like(vectors, scene.radius)
             scales[..., 1] = np.linalg.norm(vectors, axis=-1)
             paths = {"translation": midpoints, "rotation": _along(vectors), "scale": scales}
@@ -139,7 +144,8 @@ class _Document:
         surfaces = []
         for part in parts:
             vertices, triangles = mesh(y_up(part.faces))
-            attributes, indices = {"POSITION": self.numbers(vertices)}, triangles.ravel()
+            attributes = {"POSITION": self.numbers(vertices)}
+            indices = triangles.ravel()
             surfaces.append({"attributes": attributes, "indices": self.numbers(indices)})
         meshes: dict[tuple[str, ...], int] = {}
         for colours in zip(*(part.colours for part in parts), strict=True):
@@ -221,7 +227,8 @@ def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     def numbers(index: float, columns: int) -> Array:
         accessor = content["accessors"][int(index)]
         view = content["bufferViews"][int(accessor["bufferView"])]
-        offset, count = 28 + size + int(view["byteOffset"]), int(accessor["count"])
+        offset = 28 + size + int(view["byteOffset"])
+        count = int(accessor["count"])
         array = np.frombuffer(data, "<f4", columns * count, offset)
         return array.astype(np.float64).reshape(-1, columns)
 

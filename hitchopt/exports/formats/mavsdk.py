@@ -89,7 +89,8 @@ class MavsdkDroneShow(Format):
         """Write the rows of all drones; raises InfeasibleError if they cannot take off."""
         rise = rise_of(task)
         refuse_stacks(task, rise)
-        settings, files = receiver_settings(task), self.files(task)
+        settings = receiver_settings(task)
+        files = self.files(task)
         for name, table in zip(files, np.moveaxis(rows_of(task, rise), 1, 0), strict=True):
             np.savetxt(folder / name, table, ROW, header=COLUMNS, comments="", encoding="ascii")
         unseen = ", where cables are not checked" if task.flight.has_cables else ""
@@ -108,19 +109,22 @@ class MavsdkDroneShow(Format):
 
     def load(self, files: Sequence[Path]) -> FileContents:
         """Return cubics through positions and velocities, since cable forces are unknown."""
-        names, tables = tuple(path.stem for path in files), read_tables(files)
+        names = tuple(path.stem for path in files)
+        tables = read_tables(files)
         contents = FileContents.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
         each = (separator_findings(_table(path), path.stem) for path in files)
         return replace(contents, findings=tuple(chain.from_iterable(each)))
 
     def sent(self, files: Sequence[Path], manifest: Mapping[str, Any]) -> FileContents:
         """Return all setpoints after the rise, of drones numbered in the manifest's order."""
-        names, folder = tuple(map(str, manifest["drones"].values())), files[0].parent
+        names = tuple(map(str, manifest["drones"].values()))
+        folder = files[0].parent
         tables = read_tables(
             [folder / self.file.format(number=i) for i in range(1, len(names) + 1)]
         )
         rise = float(manifest["receiver"]["plan_begins_s"])
-        t, values = tables[:, 0, 0] - rise, tables[..., 1:]
+        t = tables[:, 0, 0] - rise
+        values = tables[..., 1:]
         flown = t > -SAME_TIME
         return FileContents.of_samples(names, t[flown], values[flown], "ned", SMOOTH)
 
@@ -164,9 +168,11 @@ def rise_of(task: ExportTask) -> PiecewisePolynomial:
 
 def refuse_stacks(task: ExportTask, rise: PiecewisePolynomial) -> None:
     """Raise InfeasibleError if drones start above one another, and cannot rise vertically."""
-    flight, up = task.flight, _ascent(task)[..., None]
+    flight = task.flight
+    up = _ascent(task)[..., None]
     points = task.curves.coefficients[0, ..., :1] + up * (rise.coefficients[:, None, None] - 1.0)
-    curves, phase = PiecewisePolynomial(rise.breaks, points), Phase("rise", 0, 0.0, rise.duration)
+    curves = PiecewisePolynomial(rise.breaks, points)
+    phase = Phase("rise", 0, 0.0, rise.duration)
     curves = curves.replaced(curves.coefficients[:, np.argsort(task.order)])
     ascent = Motion.single(flight.team, flight.requirements.untimed, curves, [phase])
     check = RULE_OF["separation"].check(ascent)
@@ -201,7 +207,8 @@ def rows_of(task: ExportTask, rise: PiecewisePolynomial) -> Array:
     """Return rows (S, D, 12) of all drones: index, time, nine setpoints and yaw in degrees."""
     count = round(rise.duration * task.rate)
     index = np.arange(count + ceil(task.flight.duration * task.rate - 1e-6) + 1)
-    t, up = index / task.rate, task.frame.vectors(_ascent(task))
+    t = index / task.rate
+    up = task.frame.vectors(_ascent(task))
     plan = task.samples(t[count:] - rise.duration)
     share, speed, acceleration = (rise.at(t[:count], k)[:, None, None] for k in range(3))
     force = plan["cable_forces"][0] / task.masses[:, None]

@@ -79,9 +79,12 @@ class Ros2Bag(Format):
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the bag, and settings of Crazyflies; raises UnsupportedError without rosbags."""
-        (data,), options, bags = self.files(task), task.options, required_module("rosbags.rosbag2")
+        (data,) = self.files(task)
+        options = task.options
+        bags = required_module("rosbags.rosbag2")
         stage = folder / STEM  # rosbags creates a directory, and data with the same name
-        version, plugin = ROS_DISTROS[options.ros_distro], options.storage.upper()
+        version = ROS_DISTROS[options.ros_distro]
+        plugin = options.storage.upper()
         kind = bags.StoragePlugin[plugin]
         with bags.Writer(stage, version=version, storage_plugin=kind) as bag:
             _write_messages(bag, task)
@@ -104,7 +107,8 @@ class Ros2Bag(Format):
         The file is the bag's data or metadata. Raises UnsupportedError without rosbags.
         """
         path = files[0].parent if files[0].name == METADATA else files[0]
-        highlevel, store = required_module("rosbags.highlevel"), message_types()
+        highlevel = required_module("rosbags.highlevel")
+        store = message_types()
         tables_by_name: dict[str, Array] = {}
         frame = ""
         with (  # rosbags' exceptions have no common base class
@@ -136,8 +140,10 @@ class Ros2Bag(Format):
 
     def sent(self, files: Sequence[Path], manifest: Mapping[str, Any]) -> FileContents:
         """Return the full states that are streamed, whose accelerations include cable forces."""
-        highlevel, store = required_module("rosbags.highlevel"), message_types()
-        names, frame = tuple(map(str, manifest["drones"].values())), ""
+        highlevel = required_module("rosbags.highlevel")
+        store = message_types()
+        names = tuple(map(str, manifest["drones"].values()))
+        frame = ""
         rows: dict[str, list[list[float]]] = {name: [] for name in names}
         with (
             reading(files[0], "bag", Exception),
@@ -148,7 +154,8 @@ class Ros2Bag(Format):
                 raise FileError(f"has {len(connections)} streams of {FULL_STATE}, not {len(names)}")
             for connection, _, data in bag.messages(connections):
                 message = bag.deserialize(data, connection.msgtype)
-                stamp, frame = message.header.stamp, FRAMES.get(message.header.frame_id, "")
+                stamp = message.header.stamp
+                frame = FRAMES.get(message.header.frame_id, "")
                 vectors = message.pose.position, message.twist.linear, message.acc
                 values = [x for vector in vectors for x in (vector.x, vector.y, vector.z)]
                 name = connection.topic.strip("/").partition("/")[0]
@@ -164,7 +171,8 @@ class Ros2Bag(Format):
 
 
 def _write_messages(bag: Any, task: ExportTask) -> None:
-    store, names = message_types(), {frame: name for name, frame in FRAMES.items()}
+    store = message_types()
+    names = {frame: name for name, frame in FRAMES.items()}
     frame = names[task.frame.name]
 
     def topic(name: str, kind: str) -> Any:
@@ -207,7 +215,8 @@ def _write_messages(bag: Any, task: ExportTask) -> None:
                 rates = twist(state["velocities"], state["body_rates"])
                 acceleration = vector(state["feed_forward"])
                 send(stream, t, message(FULL_STATE, header(t), at, rates, acceleration))
-    zero, angle = np.zeros(3), 0.5 * task.frame.heading
+    zero = np.zeros(3)
+    angle = 0.5 * task.frame.heading
     level = np.array([math.cos(angle), 0.0, 0.0, math.sin(angle)])
     for d, name in enumerate(task.names):  # a trajectory is one message of all samples
         states = {key: np.concatenate([block[key][:, d] for block in blocks]) for key in blocks[0]}

@@ -120,7 +120,9 @@ class SkybrushShow(Format):
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the show, refitted within the task's bound and rounded."""
-        flight, plans, notes = task.flight, list[Any]([None] * len(task.names)), []
+        flight = task.flight
+        plans = list[Any]([None] * len(task.names))
+        notes = []
         if _has_returns(flight):
             returns = plan_returns(flight, task.frame)
             head = {"version": 1, "landingSpeed": _landing_speed(flight)}
@@ -199,7 +201,8 @@ def write_show(
     drones = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, pieces, plan in zip(task.names, np.moveaxis(points, 1, 0), plans, strict=True):
-            first, last = pieces[0, :, 0].tolist(), pieces[-1, :, 3].tolist()
+            first = pieces[0, :, 0].tolist()
+            last = pieces[-1, :, 3].tolist()
             rows: list[Any] = [[times[0], first, []]]
             rows += [
                 [t, piece[:, 3].tolist(), [piece[:, 1].tolist(), piece[:, 2].tolist()]]
@@ -332,7 +335,8 @@ def _landing_speed(flight: Flight) -> float:
 @lru_cache(maxsize=1)
 def plan_returns(flight: Flight, frame: ReferenceFrame) -> list[Entries]:
     """Return the entries of all feasible returns, at integer seconds, the last after the end."""
-    returns, interval = [], max(1, ceil(flight.duration / MAX_RETURNS))
+    returns = []
+    interval = max(1, ceil(flight.duration / MAX_RETURNS))
     for time in range(0, ceil(flight.duration) + interval, interval):
         start = flight.drones.at(min(float(time), flight.duration))
         for entries in _return_candidates(flight, time, start, frame):
@@ -360,7 +364,8 @@ def _return_candidates(
             for point, (first, second) in zip(points.tolist(), delays, strict=True)
         ]
 
-    level, zero = start[:, :2], np.zeros(len(start))
+    level = start[:, :2]
+    zero = np.zeros(len(start))
     yield entries(level, 0, zero, zero)
     height = float(np.max(start[:, 2])) - flight.requirements.floor
     descent = ceil(height / _landing_speed(flight)) + 1
@@ -387,7 +392,8 @@ def return_checks(
     ((time, action, duration),) = {(e["time"], e["action"], e["duration"]) for e in entries}
     if action not in (LAND, LEVEL) or float(time) % 1.0:
         raise ValueError("an unknown action, or a time that is not a whole second")
-    floor, level = flight.requirements.floor, start[:, :2]
+    floor = flight.requirements.floor
+    level = start[:, :2]
     starts, after = (
         np.array([entry[key] for entry in entries], dtype=np.float64)
         for key in ("preDelay", "postDelay")
@@ -395,7 +401,8 @@ def return_checks(
     ends = starts
     if action == LEVEL:
         targets = np.array([entry["target"] for entry in entries], dtype=np.float64)
-        ends, level = starts + float(duration), frame.planned(targets)[:, :2]
+        ends = starts + float(duration)
+        level = frame.planned(targets)[:, :2]
     descents = ends + after
     landings = descents + np.maximum(start[:, 2] - floor, 0.0) / landing_speed
     times = np.round(np.concatenate([starts, ends, descents, landings]), 9)
@@ -419,7 +426,8 @@ def certify_returns(
     path: Path, show: Show, curves: Mapping[str, PiecewisePolynomial], task: ExportTask
 ) -> None:
     """Certify the returns of a show, each from the stored curves at its time."""
-    last, violations = -math.inf, list[Violation]()
+    last = -math.inf
+    violations = list[Violation]()
     with reading(path, "show with an rthPlan for every drone"):
         plans, each = zip(*((show.returns[n], curves[n]) for n in task.names), strict=True)
         (landing_speed,) = {float(plan["landingSpeed"]) for plan in plans}

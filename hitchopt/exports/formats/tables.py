@@ -145,7 +145,8 @@ class ParquetTable(TableFormat):
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the only file."""
         arrow, parquet = required_module("pyarrow"), required_module("pyarrow.parquet")
-        names, number = arrow.array(task.names), arrow.float64()
+        names = arrow.array(task.names)
+        number = arrow.float64()
         fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
         fields += [(column, number) for column in COLUMNS]
         metadata = {FRAME_KEY: task.frame.name.encode()}

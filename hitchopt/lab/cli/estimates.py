@@ -99,10 +99,13 @@ def statics(
     picture = picture_format(width)
     conditions = {names.get(name, name): value for name, value in perturb.items()}
     lengths = conditions.get("cable_length")
-    flight, contents, loose = read_plan(path), dict[str, Any](), list[str]()
+    flight = read_plan(path)
+    contents = dict[str, Any]()
+    loose = list[str]()
     hitches = [each for each in flight.teams if each.motion.team.has_cables]
     for flown in hitches or flight.teams:
-        part, folder = flown.motion, path.parent / flown.name
+        part = flown.motion
+        folder = path.parent / flown.name
         if isinstance(lengths, list) and len(lengths) == part.team.robots:
             conditions["cable_length"] = [lengths[robot] for robot in part.team.labels]
         t = list(times) if times else taut_times(part)
@@ -111,7 +114,8 @@ def statics(
                 ranges = ranges_of(part, t, **errors, **conditions)
                 rest = ranges.equilibrium
             else:
-                ranges, rest = None, equilibrium(part, t, **conditions)
+                ranges = None
+                rest = equilibrium(part, t, **conditions)
             save_statics(folder, rest, ranges, picture, width)
         content = contents[flown.name] = statics_content(rest, ranges)
         tables = _statics_tables(content)
@@ -132,10 +136,13 @@ def statics(
 
 def _statics_tables(content: dict[str, Any]) -> str:
     """Return the tables of cables and vertices, with ranges over all times."""
-    cables, vertices, t = [], [], content["t"]
+    cables = []
+    vertices = []
+    t = content["t"]
     may_be_slack = content.get("may_be_slack", ())
     for each in content["cables"]:
-        name, slack = each["name"], "yes" if any(each["slack"]) else "no"
+        name = each["name"]
+        slack = "yes" if any(each["slack"]) else "no"
         row = {"planned [N]": each["planned_tension"], "at rest [N]": each["tension"]}
         if "smallest" in each:
             row["range [N]"] = each["smallest"] + each["largest"]
@@ -324,7 +331,8 @@ def _rest_tables(calibration: Calibration) -> list[str]:
     """Return the table of trims, and the sentence on errors at rest; nothing without a rest."""
     from hitchopt.values import counted
 
-    at_rests, team = calibration.at_rests, calibration.task.team.of_problem
+    at_rests = calibration.at_rests
+    team = calibration.task.team.of_problem
     if not len(at_rests.t):
         return []
     errors = at_rests.trim_errors
@@ -337,7 +345,8 @@ def _rest_tables(calibration: Calibration) -> list[str]:
         }
         for k, name in enumerate(team.drone_names)
     ]
-    found, largest = calibration.errors, 100.0 * at_rests.largest_error
+    found = calibration.errors
+    largest = 100.0 * at_rests.largest_error
     text = f"Errors at rest: cables {100.0 * found.cable_length:.1f} cm, drones {largest:.1f} cm."
     before, after = calibration.planned_vertex_error, calibration.vertex_error
     if before is not None and after is not None:
@@ -351,7 +360,8 @@ def _fit_options() -> Sequence[click.Option]:
     from hitchopt.outline_fit import FitTask
     from hitchopt.values.fields import keys_of
 
-    task, quadrotor = keys_of(FitTask), keys_of(ho.Quadrotor)
+    task = keys_of(FitTask)
+    quadrotor = keys_of(ho.Quadrotor)
     keys = {name: key for name, key in task.items() if name not in {"section", "kind"}}
     keys["tilt_deg"] = keys_of(ho.Limits)["tilt"]
     keys["quadrotor_mass"] = replace(quadrotor["mass"], text="Mass of every drone")

@@ -191,7 +191,8 @@ def _say_markers(task: TeamTask) -> None:
     """Report the positions of markers on every cable."""
     from hitchopt.lab.flights.vertices import ROPE_SCATTER, marker_plan
 
-    markers, team = marker_plan(task), task.team
+    markers = marker_plan(task)
+    team = task.team
     rows: list[dict[str, object]] = []
     for k, (lower, upper) in enumerate(markers.stretches.tolist()):
         stretch = f"{lower:.2f} to {upper:.2f}" if upper > lower else "nothing"

@@ -154,7 +154,9 @@ class _Trial:
         requested: Mapping[str, str],
         start: float | None,
     ) -> None:
-        self._task, self._one_clock, drones = task, flight.one_clock, task.team.drone_names
+        self._task = task
+        self._one_clock = flight.one_clock
+        drones = task.team.drone_names
         bodies = [name for name in flight.tracks if name not in task.team.point_names]
         if len(bodies) < len(drones):
             noun = "body" if len(bodies) == 1 else "bodies"
@@ -162,7 +164,8 @@ class _Trial:
             notes = [note for note in flight.notes if "topic=" in note or "omitted" in note]
             remedy = "; ".join(["export all rigid bodies", *notes])
             raise FileError(f"{count} for {len(drones)} drones; {remedy}")
-        self._bodies, remedy = bodies, "write cf231=q0,…"
+        self._bodies = bodies
+        remedy = "write cf231=q0,…"
         self._allowed = np.ones((len(bodies), len(drones)), np.bool_)  # Permitted pairs
         for name, drone in requested.items():
             if name not in bodies:
@@ -180,11 +183,13 @@ class _Trial:
         ends = np.array([track.t[[0, -1]] for track in tracks])
         if flight.one_clock:
             ends[:] = np.min(ends), np.max(ends)
-        self._origins, half = np.mean(ends, axis=1), 0.5 * float(np.max(np.ptp(ends, axis=1)))
+        self._origins = np.mean(ends, axis=1)
+        half = 0.5 * float(np.max(np.ptp(ends, axis=1)))
         self._t = np.linspace(-half, half, int(2.0 * half / STEP) + 2)
         each = [track.at(self._t + o) for track, o in zip(tracks, self._origins, strict=True)]
         self._x, self._near = (np.stack(part, axis=1) for part in zip(*each, strict=True))
-        plan, self._timed = task.states.positions, start is None
+        plan = task.states.positions
+        self._timed = start is None
         t = task.states.t - task.states.t[0]
         self._curves = [make_interp_spline(t, x, 1) for x in plan.swapaxes(0, 1)]
         for source, positions in (("plan", plan), ("recording", self._x)):
@@ -197,8 +202,10 @@ class _Trial:
 
     def fits(self, frames: Mapping[str, Frame], *, turned: bool = False) -> list[Alignment]:
         """Return refined fits of the best assignments, best first; ``turned`` searches headings."""
-        yaws, drones = 2.0 * np.pi * np.arange(YAWS if turned else 1) / YAWS, len(self._curves)
-        turns, best = np.stack([_turn(yaw) for yaw in yaws]), dict[Any, tuple[float, Alignment]]()
+        yaws = 2.0 * np.pi * np.arange(YAWS if turned else 1) / YAWS
+        drones = len(self._curves)
+        turns = np.stack([_turn(yaw) for yaw in yaws])
+        best = dict[Any, tuple[float, Alignment]]()
         for name, (R, p) in frames.items() if len(self._offsets) else ():
             x = self._x[::COARSE_STEPS] @ R.T + p
             costs = np.stack([self._costs(x, o, turns, turned) for o in self._offsets])
@@ -209,7 +216,8 @@ class _Trial:
             costs = np.where(self._allowed, costs, EXCLUDED)
             for i, k in np.ndindex(costs.shape[:2]):
                 body = linear_sum_assignment(costs[i, k].T)[1]
-                pairs, key = (i, k, body, np.arange(drones)), tuple(self._bodies[b] for b in body)
+                pairs = (i, k, body, np.arange(drones))
+                key = tuple(self._bodies[b] for b in body)
                 score = float(np.mean(costs[pairs]))
                 if key not in best or score < best[key][0]:
                     frame = turns[k] @ R, p, key, np.nan, (), "fit" if turned else name
@@ -228,9 +236,11 @@ class _Trial:
         if not np.any(recorded):
             return np.full((len(turns), *self._allowed.shape), EXCLUDED)
         share = min(1.0, np.sum(recorded) * COARSE_STEPS * STEP / self._task.duration)
-        plan, x = np.stack([at(tau[recorded]) for at in self._curves], axis=1), x[recorded]
+        plan = np.stack([at(tau[recorded]) for at in self._curves], axis=1)
+        x = x[recorded]
         middle = np.mean(plan, axis=(0, 1))
-        plan, x = plan - middle, x - (np.mean(x, axis=(0, 1)) if centred else middle)
+        plan = plan - middle
+        x = x - (np.mean(x, axis=(0, 1)) if centred else middle)
         squares = np.mean(np.sum(x**2, -1), 0)[:, None] + np.mean(np.sum(plan**2, -1), 0)
         products = np.tensordot(x, plan, (0, 0)) / len(x)  # (m, 3, 2n, 3)
         squares = squares - 2.0 * np.einsum("bjki,fij->fbk", products, turns)
@@ -245,10 +255,12 @@ class _Trial:
         that are used (times, 2n), and planned positions (times, 2n, 3) [m].
         """
         index = [self._bodies.index(name) for name in fit.names]
-        tau, x = fit.rate * self._t[:, None] + fit.offsets, self._x[:, index]
+        tau = fit.rate * self._t[:, None] + fit.offsets
+        x = self._x[:, index]
         clipped = np.clip(tau, 0.0, self._task.duration)
         plan = np.stack([at(t) for at, t in zip(self._curves, clipped.T, strict=True)], axis=1)
-        frame, visible = (fit.rotation, fit.shift), (tau == clipped) & self._near[:, index]
+        frame = (fit.rotation, fit.shift)
+        visible = (tau == clipped) & self._near[:, index]
         use = visible if use is None else use
         if fit.frame == "fit" and np.any(use):
             up = min((R for R, _ in FRAMES.values()), key=lambda R: -R[2] @ fit.rotation[2])
@@ -309,12 +321,14 @@ class _Trial:
         """Return the best fit; FileError if it is poor or ambiguous."""
         if not fits:
             raise FileError(f"is too short; record at least {MIN_TIME:g} s of the plan")
-        fit, ((R, p), off, use, plan) = fits[0], self._deviations(fits[0])
+        fit = fits[0]
+        ((R, p), off, use, plan) = self._deviations(fits[0])
         rms = float(np.sqrt(np.sum(off**2) / np.sum(use))) if np.any(use) else np.inf
         recorded = float(np.max(np.sum(use, axis=0)) * STEP * fit.rate)
         largest, needed = MAX_RMS, MIN_TIME
         if fit.frame == "fit":
-            largest, needed = MAX_FITTED_RMS, max(0.5 * self._task.duration, MIN_TIME)
+            largest = MAX_FITTED_RMS
+            needed = max(0.5 * self._task.duration, MIN_TIME)
         needed = min(needed, self._task.duration)
         deviating, moving = (np.sum(_centred(x, use) ** 2) for x in (off, plan))
         unplanned = float(np.sqrt(deviating / max(moving, 1e-12)))

@@ -145,10 +145,12 @@ def _readable(path: Path, scratch: Path) -> tuple[Path, str]:
     if _begins(path, ZSTD_MAGIC):
         path = _unpacked(path, scratch)
     if _is_open_mcap(path):
-        path, note = _closed_mcap(path, scratch), "to the last whole chunk"
+        path = _closed_mcap(path, scratch)
+        note = "to the last whole chunk"
     logs = [log for suffix in SQLITE_LOGS if (log := Path(f"{path}{suffix}")).is_file()]
     if _begins(path, SQLITE_MAGIC) and any(log.stat().st_size for log in logs):
-        path, note = _recovered_database(path, logs, scratch), "to the last transaction"
+        path = _recovered_database(path, logs, scratch)
+        note = "to the last transaction"
     return path, note and f"{path.name} is truncated, because its recorder was killed: read {note}"
 
 

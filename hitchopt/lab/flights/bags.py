@@ -432,7 +432,8 @@ def _tracks_by_body(
 
     Frames with a moving parent are omitted. Raises FileError if two topics have the same body.
     """
-    tracks, omitted = dict[str, _Stream](), list[str]()
+    tracks = dict[str, _Stream]()
+    omitted = list[str]()
     for topic in topics:
         frames = frames_of[topic.name]
         for frame, name in _names_by_frame(topic, list(frames)).items():

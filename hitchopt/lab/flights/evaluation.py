@@ -159,9 +159,14 @@ class Evaluation(OneLine):
 
         The flight is moving while any drone has a planned speed.
         """
-        team, t, rows = self.task.team, self.t, list[ErrorRow]()
-        points, off, stated = team.layout.clasps, self.errors, self.standard_errors
-        hitched, missing = np.isfinite(self.planned[:, points[0], 0]), np.full(len(t), np.nan)
+        team = self.task.team
+        t = self.t
+        rows = list[ErrorRow]()
+        points = team.layout.clasps
+        off = self.errors
+        stated = self.standard_errors
+        hitched = np.isfinite(self.planned[:, points[0], 0])
+        missing = np.full(len(t), np.nan)
         columns = [(team.point_names[p], hitched, off[:, p], stated[:, p]) for p in points]
         columns.append(("vertices", hitched, off[:, points], stated[:, points]))
         drones = zip(team.listed_names, self.drone_errors.T[team.listed], strict=True)
@@ -282,7 +287,8 @@ def evaluate(
         start = finite("start", start)
     if positive("window", window) > MAX_WINDOW:
         raise InputError("window", window, f"at most {MAX_WINDOW:g} s", "0.1 is usual")
-    flight, frame_name = recording, None if frame is None else str(frame)
+    flight = recording
+    frame_name = None if frame is None else str(frame)
     if not isinstance(flight, RecordedFlight):
         flight = read_flight(path("recording", flight), unit, topic)
     elif unit is not None or topic is not None:
@@ -307,7 +313,9 @@ def _evaluated(
     window: float,
 ) -> Evaluation:
     """Return the evaluation of an aligned flight."""
-    team, layout, rate = task.team, task.team.layout, alignment.rate
+    team = task.team
+    layout = task.team.layout
+    rate = alignment.rate
     tracks = [flight.tracks[name] for name in alignment.names]
     clocks = list(zip(tracks, alignment.offsets.tolist(), strict=True))
     ends = [rate * track.t[[0, -1]] + offset for track, offset in clocks]
@@ -373,7 +381,8 @@ def _remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
 
 def _missing(measured: Measured, task: TeamTask) -> Iterator[str]:
     """Yield reasons for missing vertices."""
-    layout, markers = task.team.layout, measured.markers
+    layout = task.team.layout
+    markers = measured.markers
     for a, point, b in zip(layout.behind, layout.clasps, layout.ahead, strict=True):
         share = float(np.mean(np.isfinite(measured.crossings[:, point, 0])))
         if share < MIN_SHARE:
@@ -422,7 +431,9 @@ def shapes(evaluation: Evaluation) -> dict[str, Array]:
 
     Shapes are the plan's, displaced with the measured drones and vertices.
     """
-    t, task, layout = evaluation.t, evaluation.task, evaluation.task.team.layout
+    t = evaluation.t
+    task = evaluation.task
+    layout = evaluation.task.team.layout
     scene = scene_at(evaluation.planned_flight, np.clip(t, 0.0, task.duration))
     displacements, ends = (
         np.nan_to_num(through_gaps(t, off, t))
@@ -481,19 +492,25 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
     if width is None:
         figure = style.new_figure(SIZE)
         grid = figure.add_gridspec(2, 2, width_ratios=WIDTHS, height_ratios=(1.6, 1.0))
-        over_time, above = (grid[0, 0], grid[1, 0]), grid[:, 1]
+        over_time = (grid[0, 0], grid[1, 0])
+        above = grid[:, 1]
     else:
         figure = style.page_figure(width, sum(PAGE_SHARES) * width + PAGE_LEGEND)
         grid = figure.add_gridspec(3, 1, height_ratios=PAGE_SHARES)
-        over_time, above = (grid[0], grid[1]), grid[2]
+        over_time = (grid[0], grid[1])
+        above = grid[2]
     top, bottom = (figure.add_subplot(place) for place in over_time)
-    team, t, points = evaluation.task.team, evaluation.t, evaluation.task.team.layout.clasps
-    colours, summaries = style.cable_colours(team.robots), {}
+    team = evaluation.task.team
+    t = evaluation.t
+    points = evaluation.task.team.layout.clasps
+    colours = style.cable_colours(team.robots)
+    summaries = {}
     for row in evaluation.short_table:
         if row.phase == "all" and np.isfinite(row.mean):
             summaries[row.name] = f"{1e3 * row.mean:.0f} ± {1e3 * row.std:.0f} mm"
     for point in points.tolist():
-        colour, name = colours[point % team.robots], team.point_names[point]
+        colour = colours[point % team.robots]
+        name = team.point_names[point]
         off, error = (
             1e3 * each[:, point] for each in (evaluation.errors, evaluation.standard_errors)
         )
@@ -516,7 +533,8 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
             axes.legend(fontsize="small", ncols=4, frameon=False)
     top.tick_params(labelbottom=False)
     bottom.set_xlabel("t [s]")
-    start, end = float(t[0]), float(t[-1])
+    start = float(t[0])
+    end = float(t[-1])
     phases = [
         each.retimed(max(each.start, start), min(each.end, end))
         for each in evaluation.planned_flight.teams[0].motion.overlapping(start, end)
@@ -538,15 +556,18 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
 
 def _draw_from_above(axes: Axes, evaluation: Evaluation, colours: Sequence[str]) -> None:
     """Draw paths, and at the last time of a complete polygon both polygons and the markers."""
-    team, measured = evaluation.task.team, evaluation.measured
-    points, cloud = team.layout.clasps, evaluation.cloud
+    team = evaluation.task.team
+    measured = evaluation.measured
+    points = team.layout.clasps
+    cloud = evaluation.cloud
     for i in range(team.drones):
         axes.plot(*evaluation.drones[:, i, :2].T, color=colours[i // 2], lw=0.6, alpha=0.5)
     for point in points.tolist():
         axes.plot(*measured[:, point, :2].T, color=colours[point % team.robots], lw=0.8)
     complete = np.flatnonzero(np.isfinite(measured[:, points, 0]).all(axis=1))
     if len(complete):
-        i, order = complete[-1], np.append(points, points[: team.layout.closed])
+        i = complete[-1]
+        order = np.append(points, points[: team.layout.closed])
         plan, polygon = (x[i, order, :2].T for x in (evaluation.planned, measured))
         axes.plot(*plan, "--", color=style.LIMIT_COLOUR, label="planned")
         axes.plot(*polygon, color=style.INK, lw=1.4, label="measured")

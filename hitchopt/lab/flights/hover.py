@@ -343,7 +343,8 @@ class HoverSeries:
 
     def __init__(self, flight: RecordedFlight, name: str, label: str = "") -> None:
         self.label = label  # Name of the recording in messages
-        track, own = flight.tracks[name], flight.signals.get(name, {})
+        track = flight.tracks[name]
+        own = flight.signals.get(name, {})
         self.t = np.arange(track.t[0], track.t[-1], 1.0 / RATE)
         self.x, self.visible = track.at(self.t)
         self.thrust = own.get("thrust")
@@ -355,12 +356,15 @@ class HoverSeries:
         self.ground = self._ground()
         self.velocity = _velocity(self.t, self.x)
         lowest = self.ground[2] if self.ground is not None else np.min(self.x[:, 2])
-        z, top = self.x[:, 2], float(np.max(self.x[:, 2]))
+        z = self.x[:, 2]
+        top = float(np.max(self.x[:, 2]))
         self.flying = z > lowest + max(MIN_RISE, 0.5 * (top - lowest))
         if self.ground is None and top - lowest < MIN_RISE:  # Recorded in flight
             self.flying[:] = True
-        self.commanded, sent = np.full_like(self.x, np.nan), np.zeros(len(z), np.bool_)
-        self.began, self.ended = math.inf, -math.inf
+        self.commanded = np.full_like(self.x, np.nan)
+        sent = np.zeros(len(z), np.bool_)
+        self.began = math.inf
+        self.ended = -math.inf
         if (commands := flight.setpoints.get(name)) is not None:
             self.commanded, sent = commands.at(self.t)
             self.began, self.ended = commands.t[[0, -1]].tolist()
@@ -395,7 +399,8 @@ class HoverSeries:
 
     def rests(self) -> Iterator[_Rest]:
         """Yield the settled parts with a known setpoint."""
-        level, climb = length(self.velocity[:, :2]), np.abs(self.velocity[:, 2])
+        level = length(self.velocity[:, :2])
+        climb = np.abs(self.velocity[:, 2])
         slow = (level < MAX_LEVEL_SPEED) & (climb < MAX_CLIMB) & self.flying & self.visible
         slow = _bridged(slow, MAX_BREAK) & self.flying & self.still
         for kind in (COMMANDED, ABOVE_START):
@@ -442,7 +447,8 @@ class HoverSeries:
         part = self.moving_part(gains)
         if part is None:
             return
-        x, trims = self.x[part, :2], (np.zeros(2), *np.eye(2))
+        x = self.x[part, :2]
+        trims = (np.zeros(2), *np.eye(2))
         base, *shifted = (self.predicted(part, trim, gains) for trim in trims)
         effects = np.stack([(each - base).ravel() for each in shifted], axis=1)  # They add up
         body: Array = np.linalg.lstsq(effects, (x - base).ravel(), rcond=None)[0].astype(np.float64)
@@ -487,7 +493,8 @@ class HoverSeries:
         off = np.empty((len(lags), *place.shape))
         for i, lag in enumerate(lags.tolist()):  # Of first order
             decay = math.exp(-1.0 / (RATE * lag))
-            initial, numbers = decay * place[:1], ([1.0 - decay], [1.0, -decay])
+            initial = decay * place[:1]
+            numbers = ([1.0 - decay], [1.0, -decay])
             off[i] = place - lfilter(*numbers, command, axis=0, zi=initial)[0]
         if trim is None:
             off -= np.mean(off, axis=1, keepdims=True)
@@ -527,7 +534,8 @@ def _drone(name: str, hovers: Sequence[HoverSeries], known: Mapping[str, float])
     trim, trim_error = _mean_trim(parts, frame)
     settled = [part for part in parts if not part.in_motion]
     shown = settled or parts  # Parts that show the drone's tilt and yaw
-    tilt, longest = _mean_tilt(shown), max(shown, key=lambda part: part.samples)
+    tilt = _mean_tilt(shown)
+    longest = max(shown, key=lambda part: part.samples)
     used = [hover for hover in hovers if any(part.hover is hover for part in parts)]
     thrust_factor, thrust_error = _thrust_factor(settled, known.get("mass"))
     lag, lag_error = _best_lag(used, trim)
@@ -658,7 +666,8 @@ def _remarks(hovers: Sequence[HoverSeries], tilt: Array, thrust_factor: float) -
 
 def _thrust_factor(parts: Sequence[_Rest], mass: float | None) -> tuple[float, float]:
     """Return the commanded thrust at rest over the weight, and its standard error."""
-    thrusts, times = list[Array](), 0.0
+    thrusts = list[Array]()
+    times = 0.0
     for rest in parts:
         if (thrust := rest.hover.thrust) is not None:
             t = rest.hover.t[rest.mask]
@@ -677,7 +686,8 @@ def _with_expected_trims(
     drones: Mapping[str, DroneHover], known: Mapping[str, float]
 ) -> dict[str, DroneHover]:
     """Return drones with the trims that their tilts lead to expect."""
-    lever, result = math.nan, dict[str, DroneHover]()
+    lever = math.nan
+    result = dict[str, DroneHover]()
     tilted = [
         drone
         for drone in drones.values()
@@ -703,7 +713,8 @@ def loop_response(force: Array, first: Array, mass: float, kp: float, kd: float)
     """
     A = np.array([[0.0, 1.0, 0.0], [-kp / mass, -kd / mass, 1.0 / mass], [0.0, 0.0, 0.0]])
     step = expm(A / RATE)
-    state, places = first.reshape(2, 2), np.empty_like(force)
+    state = first.reshape(2, 2)
+    places = np.empty_like(force)
     for i, each in enumerate(force):
         places[i] = state[0]
         state = step[:2, :2] @ state + step[:2, 2:] * each
@@ -736,7 +747,10 @@ def _velocity(t: Array, x: Array) -> Array:
 
 def _turned(vectors: Array, yaw: Array | float) -> Array:
     """Return horizontal vectors (…, 2) turned by angles (…) [rad]."""
-    c, s, x, y = np.cos(yaw), np.sin(yaw), vectors[..., 0], vectors[..., 1]
+    c = np.cos(yaw)
+    s = np.sin(yaw)
+    x = vectors[..., 0]
+    y = vectors[..., 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 

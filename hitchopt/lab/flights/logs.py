@@ -117,8 +117,10 @@ def _contents(
     if len(taken) > 1:
         both = " and ".join(each.name for each in taken)
         raise FileError(f"has positions in {both}: choose one with topic=")
-    own, positions = taken[0], {name: Logged(x, name) for name, x in log.positions.items()}
-    drone, of_kind = {"position": positions[own.name], **log.quantities}, dict[str, str]()
+    own = taken[0]
+    positions = {name: Logged(x, name) for name, x in log.positions.items()}
+    drone = {"position": positions[own.name], **log.quantities}
+    of_kind = dict[str, str]()
     for each in topics[::-1]:
         of_kind[each.kind] = each.name  # Of each kind the first topic
     for kind, name in of_kind.items():
@@ -136,7 +138,8 @@ def _contents(
             offsets = [np.interp(times, t, x) for x in at] - np.stack(commands)
             return float(np.nanmedian(np.linalg.norm(offsets, axis=0)))
 
-        here, there = distance(own.name), distance(load)
+        here = distance(own.name)
+        there = distance(load)
         if here > there:
             words = f"{there:.2f} m from {load} at the median, and {here:.2f} m from {own.name}"
             notes = [*notes, f"{command} is the target of the load, not of the drone: {words}"]
@@ -154,13 +157,15 @@ def _tied(names: Sequence[str], loads: Mapping[str, Array]) -> tuple[dict[str, f
     if len(names) < 2 or set(names) != set(loads):
         return {}, []
     first, *others = names
-    shifts, worst = {first: 0.0}, 0.0
+    shifts = {first: 0.0}
+    worst = 0.0
     for name in others:
         start = float(loads[first][0, 0] - loads[name][0, 0])
         fitted = fitted_shift(loads[name], loads[first], (start - TIE_SPAN, start + TIE_SPAN))
         if fitted is None:
             return {}, []
-        shifts[name], worst = fitted[0], max(worst, fitted[1])
+        shifts[name] = fitted[0]
+        worst = max(worst, fitted[1])
     words = "the load, logged by all, aligns their clocks; its positions then agree to"
     return shifts, [f"{', '.join(names)}: {words} {1e3 * worst:.1f} mm"]
 
@@ -242,7 +247,8 @@ def decompressed(words: Array) -> Array:
     a sign and nine bits of its size over the square root of one half.
     """
     bits = words.astype(np.int64)
-    largest, quaternions = bits >> 30, np.zeros((len(bits), 4))
+    largest = bits >> 30
+    quaternions = np.zeros((len(bits), 4))
     for i in (3, 2, 1, 0):
         stored = largest != i
         sizes = math.sqrt(0.5) / 511.0 * (bits & 511) * np.where(bits & 512, -1.0, 1.0)
@@ -262,25 +268,31 @@ def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:
     version, event_types = struct.unpack_from("<HH", data, 1)
     if version not in {1, 2}:
         raise FileError(f"has version {version}; 1 and 2 are supported")
-    offset, kinds = 5, dict[int, Any]()
+    offset = 5
+    kinds = dict[int, Any]()
     for _ in range(event_types):
-        number, offset = struct.unpack_from("<H", data, offset)[0], data.index(0, offset + 2) + 1
+        number = struct.unpack_from("<H", data, offset)[0]
+        offset = data.index(0, offset + 2) + 1
         (count,) = struct.unpack_from("<H", data, offset)
-        offset, fields = offset + 2, list[tuple[str, str]]()
+        offset = offset + 2
+        fields = list[tuple[str, str]]()
         for _ in range(count):
             end = data.index(0, offset)
-            text, offset = data[offset:end].decode("ascii"), end + 1
+            text = data[offset:end].decode("ascii")
+            offset = end + 1
             fields.append((text[:-3], f"<{text[-2]}"))
         kinds[number] = np.dtype([("", "<H"), ("t", "<I" if version == 1 else "<Q"), *fields])
     intact = len(data) >= offset + 4 and zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
-    end, records = len(data) - 4 * intact, defaultdict[int, bytearray](bytearray)
+    end = len(data) - 4 * intact
+    records = defaultdict[int, bytearray](bytearray)
     while offset + 2 <= end:
         (number,) = struct.unpack_from("<H", data, offset)
         if number not in kinds or offset + (size := kinds[number].itemsize) > end:
             break
         records[number] += data[offset : offset + size]
         offset += size
-    events, tick = list[dict[str, Array]](), 1e-3 if version == 1 else 1e-6
+    events = list[dict[str, Array]]()
+    tick = 1e-3 if version == 1 else 1e-6
     for number, record in records.items():
         values: Any = np.frombuffer(record, kinds[number])
         events.append({name: values[name].astype(np.float64) for name in values.dtype.names})

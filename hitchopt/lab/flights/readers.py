@@ -120,7 +120,8 @@ def read_flight(
 
 def _without_jumping_bodies(flight: RecordedFlight) -> RecordedFlight:
     """Return a flight without bodies that jump back and forth; FileError if none is left."""
-    tracks, notes = dict(flight.tracks), list[str]()
+    tracks = dict(flight.tracks)
+    notes = list[str]()
     for name, track in flight.tracks.items():
         steps, across = (length(track.positions[k:] - track.positions[:-k]) for k in (1, 2))
         there = (steps > JUMP) & (steps > JUMP_SPEED * np.diff(track.t))
@@ -160,7 +161,8 @@ def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
         raise FileError(f"contains {listed}: no recording; name {known}")
     table, owner = _plain_table(path, known)
     _refuse_topic(topic)
-    rows, names = table.numbers(["t", "x", "y", "z"], blanks=True), table.words(owner)
+    rows = table.numbers(["t", "x", "y", "z"], blanks=True)
+    names = table.words(owner)
     return flight_of("table", positions_of(_by_name(names, rows)), unit or "m")
 
 
@@ -189,7 +191,8 @@ def _by_name(names: Sequence[str], rows: Array) -> dict[str, Array]:
 
 def read_simulated(path: Path) -> RecordedFlight:
     """Return the flight in a results directory of ``hitchopt simulate``."""
-    rows, end = dict[str, Array](), np.inf
+    rows = dict[str, Array]()
+    end = np.inf
     for file, (kind, prefix) in TABLES.items():
         table = labelled_table(partial(text_lines, path / file), ("t", kind, "x"), file)
         values = table.numbers(["t", "x", "y", "z"], blanks=True)
@@ -244,7 +247,9 @@ def rows_of(
     at their mean while all of them are visible; those that are far from each other are bodies of
     their own, with the names of the markers.
     """
-    rows, markers, notes = dict[str, Array](), [np.zeros((0, 4))], list[str]()
+    rows = dict[str, Array]()
+    markers = [np.zeros((0, 4))]
+    notes = list[str]()
     subjects = _subjects([label for label in labels if label not in bodies])
     by_subject = defaultdict[str, dict[str, Array]](dict)
     for k, point in points.items():
@@ -346,24 +351,31 @@ def read_motive(path: Path, unit: str | None) -> RecordedFlight:
     columns = [j for j in columns if kinds[j] == "Rigid Body" or j in markers]
     head, points = table_of(chain(top[header + 1 :], lines), separator, columns)
     hertz = float(metadata.get("Export Frame Rate") or metadata["Capture Frame Rate"])
-    t, notes = (head[:, 0] - head[0, 0]) / hertz + head[0, 1], list[str]()
+    t = (head[:, 0] - head[0, 0]) / hertz + head[0, 1]
+    notes = list[str]()
     if np.any(np.abs(t - head[:, 1]) > TIME_TOLERANCE):
-        t, notes = head[:, 1], [f"times are as printed: they differ from frames at {hertz:g} Hz"]
+        t = head[:, 1]
+        notes = [f"times are as printed: they differ from frames at {hertz:g} Hz"]
     length_unit = unit or metadata.get("Length Units", "")
     labels = [names[j] for j in columns]
     samples, row_notes = rows_of(t, points, labels, length_unit, bodies)
-    source, notes = f"Motive CSV {metadata[MOTIVE]}", notes + row_notes
+    source = f"Motive CSV {metadata[MOTIVE]}"
+    notes = notes + row_notes
     return flight_of(source, positions_of(samples), length_unit, notes=notes)
 
 
 def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a Vicon table with sections of bodies and of markers."""
-    samples, lines, length_unit, notes = dict[str, Array](), text_lines(path), "m", list[str]()
+    samples = dict[str, Array]()
+    lines = text_lines(path)
+    length_unit = "m"
+    notes = list[str]()
     for title in (line.strip(BLANK) for line in lines):
         if title not in VICON:
             continue
         rate, *top = islice(lines, 4)
-        hertz, separator = float(rate.strip(BLANK).replace(",", ".")), max(",;\t", key=top[1].count)
+        hertz = float(rate.strip(BLANK).replace(",", "."))
+        separator = max(",;\t", key=top[1].count)
         if not hertz > 0.0:
             raise FileError(f"section {title}: a rate of {hertz:g} Hz; export it again")
         parsed = csv.reader(top, delimiter=separator)
@@ -381,7 +393,8 @@ def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
         bodies = samples if title == VICON[-1] else labels
         length_unit = units[columns[0]] if columns else length_unit
         rows, row_notes = rows_of(head[:, 0] / hertz, points, labels, unit or length_unit, bodies)
-        samples, notes = samples | rows, notes + row_notes
+        samples = samples | rows
+        notes = notes + row_notes
     return flight_of("Vicon CSV", positions_of(samples), unit or length_unit, notes=notes)
 
 
@@ -391,7 +404,8 @@ def read_qualisys(path: Path, unit: str | None) -> RecordedFlight:
     Times follow from the frequency: the header's time stamp is not that of the first frame. Those
     of an external clock are in the column Time. Gaps are blank, NULL or zeros.
     """
-    lines, header = text_lines(path), dict[str, list[str]]()
+    lines = text_lines(path)
+    header = dict[str, list[str]]()
     for line in islice(lines, MAX_HEADER_LINES):
         key, *values = line.strip(BLANK).split("\t")
         header[key] = values
@@ -405,7 +419,8 @@ def read_qualisys(path: Path, unit: str | None) -> RecordedFlight:
     if not (hertz > 0.0 or is_external):
         raise FileError(f"has a FREQUENCY of {hertz:g} Hz; export it again")
     names, width = header[key], QUALISYS_COLUMNS[key]
-    titles, first = list[str](), ""
+    titles = list[str]()
+    first = ""
     for line in lines:
         if re.match(r"\s*[-+.\d]", line):
             first = line

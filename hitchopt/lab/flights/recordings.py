@@ -117,7 +117,8 @@ class Track(OneLine):
 def _check_samples(record: Signal | Track, name: str, width: int | None) -> None:
     """Check times (m,) and the rows (m, width) of a field, and make them read-only."""
     values = getattr(record, name)
-    t, x = as_array("t", record.t), as_array(name, values)
+    t = as_array("t", record.t)
+    x = as_array(name, values)
     if t.ndim != 1 or t.size == 0 < np.size(record.t):
         raise InputError("t", record.t, "times (m,) [s]", "specify one per sample")
     columns = x.shape[1] if width is None and x.ndim == 2 else width
@@ -245,7 +246,8 @@ def fitted_shift(
 
     shifts = np.arange(span[0], span[1] + SHIFT_STEP, SHIFT_STEP)
     distances = np.array([distance(shift) for shift in shifts.tolist()])
-    best, step = float(shifts[np.argmin(distances)]), SHIFT_STEP
+    best = float(shifts[np.argmin(distances)])
+    step = SHIFT_STEP
     while step > 1e-4:
         step *= 0.5
         best = min((best - step, best, best + step), key=distance)
@@ -311,9 +313,11 @@ def flight_of(
     without a value, those of lost bodies, and rows that repeat a time are omitted. Raises FileError
     for an unknown unit or descending times.
     """
-    loads, notes = loads or {}, list(notes)
+    loads = loads or {}
+    notes = list(notes)
     drones = {name: own for name, own in bodies.items() if name != MARKER}
-    length_unit, lost = scale_of(unit), 0
+    length_unit = scale_of(unit)
+    lost = 0
     recorded = dict[str, Array]()
     for name, own in drones.items():
         rows = own["position"].rows
@@ -408,7 +412,8 @@ def _in_recorded_order(rows: Array) -> Array:
     steps = np.diff(rows[:, 0], prepend=-np.inf)
     if np.any(steps < 0.0):
         descent = int(np.argmax(steps < 0.0))
-        earlier, later = rows[descent - 1, 0], rows[descent, 0]
+        earlier = rows[descent - 1, 0]
+        later = rows[descent, 0]
         digits = next((n for n in range(9, 17) if f"{earlier:.{n}g}" != f"{later:.{n}g}"), 17)
         times = f"{earlier:.{digits}g} s is followed by {later:.{digits}g} s"
         remedy = "specify one flight, in the order in which it was recorded"
@@ -511,18 +516,22 @@ def windows_of(recording: Recording, task: TeamTask, size: float) -> Windows:
     visible = counts >= needed
     chosen = np.all(drone_counts >= needed, axis=1) & (count >= needed)
     chosen &= 2 * np.sum(visible, axis=1) >= visible.shape[1]
-    middle, squares = mean(t), np.zeros(recording.vertices.shape[:2])
+    middle = mean(t)
+    squares = np.zeros(recording.vertices.shape[:2])
     if standard_errors is not None:
         squares = np.nan_to_num(standard_errors) ** 2
     independent = np.maximum(counts / (2.0 * needed) * size / CORRELATION_TIME, 1.0)
     errors = np.sqrt(member @ squares / np.maximum(counts, 1.0) / independent)
     for k in range(visible.shape[1]):
-        known, missing = visible[:, k] & chosen, ~visible[:, k]
-        spread, interpolated = 0.0, np.zeros(3)
+        known = visible[:, k] & chosen
+        missing = ~visible[:, k]
+        spread = 0.0
+        interpolated = np.zeros(3)
         if np.any(known):
             interpolated = Track(middle[known], off[known, k]).at(middle[missing])[0]
             spread = float(np.linalg.norm(np.std(off[known, k], axis=0)))
-        off[missing, k], errors[missing, k] = interpolated, np.hypot(INTERPOLATION_ERROR, spread)
+        off[missing, k] = interpolated
+        errors[missing, k] = np.hypot(INTERPOLATION_ERROR, spread)
     names = ("positions", "vertices", "cable_forces", "tensions")
     plan = [mean(plan_at(task, t, getattr(task.states, name))) for name in names]
     values: Any = (middle, plan[0] + drones, plan[1] + off, visible, errors, *plan)

@@ -211,7 +211,8 @@ def bag_topics(types: Mapping[str, str], preferences: Mapping[str, bool]) -> lis
     ``types`` are message types by topic, ``preferences`` whether messages of a type name the
     bodies, in order of preference.
     """
-    order, topics = list(preferences), list[Topic]()
+    order = list(preferences)
+    topics = list[Topic]()
     for name, named in body_names(list(types)).items():
         kind = _kind_of(name) or _kind_of(types[name])
         preference = order.index(types[name]) + len(order) * (kind is None)
@@ -253,7 +254,8 @@ def taken_topics(topics: Sequence[Topic], request: str | None) -> tuple[list[Top
     if not taken:
         bound = "no topic of a drone" if request is None else f"no topic {request}"
         raise FileError(f"contains {bound}, but {_listed(topics)}; choose with topic=")
-    used, others = _listed(taken), _listed([x for x in topics if x not in taken])
+    used = _listed(taken)
+    others = _listed([x for x in topics if x not in taken])
     if others:
         return taken, [f"positions come from {used}, not from {others}: choose with topic="]
     return taken, [] if taken[0].kind == KINDS[0] else [f"positions come from {used}"]

@@ -85,7 +85,8 @@ class _Edges:
         edges = layout.edges(points)
         span = np.maximum(length(edges[..., :2]), 1e-9)
         tensions = np.maximum(plan_at(task, t, task.states.tensions), 0.1 * task.team.tension)
-        along, slope = edges[..., :2] / span[..., None], edges[..., 2] / span
+        along = edges[..., :2] / span[..., None]
+        slope = edges[..., 2] / span
         return cls(points[:, layout.starts], along, span, slope, GRAVITY / tensions)
 
     def local(self, time: Indices, x: Array) -> tuple[Array, Array]:
@@ -93,7 +94,8 @@ class _Edges:
 
         Offsets are lateral and vertical [m], and the sag over the density [m²/kg] at that position.
         """
-        off, u = x[:, None] - self.origin[time], self.along[time]
+        off = x[:, None] - self.origin[time]
+        u = self.along[time]
         s = np.sum(off[..., :2] * u, axis=-1)
         vertical = off[..., 2] - self.slope[time] * s
         return s, np.stack([cross(u, off), vertical, self.sag(s, time)], axis=-1)
@@ -129,7 +131,8 @@ def measured_vertices(
     density: of the cables [kg/m]; None: the plan's, or fitted if the plan models no weight.
     window: time window of the line fits [s].
     """
-    team, layout = task.team, task.team.layout
+    team = task.team
+    layout = task.team.layout
     if density is None and team.cable_density >= MIN_DENSITY:
         density = team.cable_density
     times, frame = np.unique(cloud.t, return_inverse=True)
@@ -137,14 +140,16 @@ def measured_vertices(
     frames = max(1, round(SMOOTHING * len(times) / max(np.ptp(times), SMOOTHING)))
     displacement = uniform_filter1d(displacement, frames, axis=0, mode="nearest")
     of_drones = np.min(length(cloud.positions[:, None] - drones[frame]), axis=1) < DRONE_RADIUS
-    frame, time = frame[~of_drones], cloud.t[~of_drones]
+    frame = frame[~of_drones]
+    time = cloud.t[~of_drones]
     expected = _Edges.of(task, times, displacement)
     s, values = expected.local(frame, cloud.positions[~of_drones])
     ends: list[Array] = [np.zeros(s.shape), expected.span[frame]]
     off = values[..., :2] - (density or 0.0) * values[..., 2:] * [0.0, 1.0]
     for gate, width in ((gate, width or window) for gate, width in ROUNDS):
         distance = np.where((s > ends[0]) & (s < ends[1]), length(off), np.inf)
-        edge, ratio = np.argmin(distance, axis=1), np.min(distance, axis=1) / gate
+        edge = np.argmin(distance, axis=1)
+        ratio = np.min(distance, axis=1) / gate
         grid = np.arange(t[0], t[-1] + width, width / OVERLAP) if width > window else t
         lines = []
         for k in range(s.shape[1]):
@@ -221,9 +226,12 @@ def _fit_lines(
     residuals = residuals - np.einsum("kc,kcv->kv", design, fit[window])
     # Points of a window that are close along the edge belong to one marker
     order = np.lexsort((s[i], window))
-    window, positions, residuals = window[order], s[i[order]], residuals[order]
+    window = window[order]
+    positions = s[i[order]]
+    residuals = residuals[order]
     new = (np.diff(window, prepend=-1) > 0) | (np.diff(positions, prepend=-np.inf) > MIN_SPACING)
-    marker, owner = np.cumsum(new) - 1, window[new]
+    marker = np.cumsum(new) - 1
+    owner = window[new]
     members = np.bincount(marker)
     position, *errors = (np.bincount(marker, x) / members for x in (positions, *residuals.T))
     count = np.bincount(owner, minlength=len(grid))
@@ -246,7 +254,8 @@ def _crossings(
     Then follow positions of the crossings at the start and the end of every edge (2, t, n) [m], nan
     without a crossing, and sines of the angles (t, clasps).
     """
-    u, (a, b) = edges.along, (layout.behind, layout.ahead)
+    u = edges.along
+    a, b = (layout.behind, layout.ahead)
     normal = left_of(u)
     base = edges.origin[..., :2] + fit[..., 0, :1] * normal
     toward = u + fit[..., 1, :1] * normal
@@ -309,23 +318,29 @@ def marker_plan(task: TeamTask) -> MarkerPlan:
     A section that never leaves the edge gets three evenly spaced markers. If a cable slides too far
     for that, markers are spaced such that three are on the edge at any time.
     """
-    layout, hitched = task.team.layout, taut_at(task, task.states.t - task.states.t[0])
+    layout = task.team.layout
+    hitched = taut_at(task, task.states.t - task.states.t[0])
     vertices, drones = task.states.vertices[hitched], task.states.positions[hitched]
-    edges, legs = layout.edges(vertices), length(drones - vertices[:, layout.anchors])[:, ::2]
-    lower_ends, upper_ends = legs + CLASP_DISTANCE, legs + length(edges) - CLASP_DISTANCE
+    edges = layout.edges(vertices)
+    legs = length(drones - vertices[:, layout.anchors])[:, ::2]
+    lower_ends = legs + CLASP_DISTANCE
+    upper_ends = legs + length(edges) - CLASP_DISTANCE
     stretches = np.column_stack([np.max(lower_ends, axis=0), np.min(upper_ends, axis=0)])
-    places, markers = [], np.full((*lower_ends.shape, 3), np.nan)
+    places = []
+    markers = np.full((*lower_ends.shape, 3), np.nan)
     for k, (first, last) in enumerate(stretches):
         step = max(float(np.min(upper_ends[:, k] - lower_ends[:, k])), MIN_SECTION) / MARKERS
         positions = np.arange(np.min(lower_ends[:, k]), np.max(upper_ends[:, k]) + 0.5 * step, step)
         positions = np.linspace(first, last, MARKERS) if last - first >= MIN_SECTION else positions
         on_edge = (positions >= lower_ends[:, k, None]) & (positions <= upper_ends[:, k, None])
-        count, s = np.sum(on_edge, axis=1), positions - legs[:, k, None]
+        count = np.sum(on_edge, axis=1)
+        s = positions - legs[:, k, None]
         mean = np.sum(s * on_edge, axis=1) / np.maximum(count, 1)
         squares = np.sum((s - mean[:, None]) ** 2 * on_edge, axis=1)
         markers[:, k] = np.where(count > 1, [count, mean, squares], np.nan).T
         places.append(positions)
-    u, ends = unit(edges[..., :2]), np.stack([0.0 * legs, length(edges)])
+    u = unit(edges[..., :2])
+    ends = np.stack([0.0 * legs, length(edges)])
     sine = cross(u[:, layout.behind], u[:, layout.ahead])
     of_clasps = np.nan_to_num(relative_errors(markers, ends, sine, layout), nan=np.inf)
     errors = np.full((layout.points, 2), np.nan)

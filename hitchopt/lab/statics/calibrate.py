@@ -172,7 +172,8 @@ class Calibration(OneLine):
 
         Undetermined values are the plan's.
         """
-        team, missing = self.task.team.of_problem, "of the plan: not determined"
+        team = self.task.team.of_problem
+        missing = "of the plan: not determined"
         estimated = zip(self.lengths, team.cable_length.tolist(), strict=True)
         lengths = [round(one.value, 4) if one.known else planned for one, planned in estimated]
         errors = ", ".join(f"{one.error:.1g}" if one.known else missing for one in self.lengths)
@@ -192,7 +193,8 @@ class Calibration(OneLine):
         repeats = len(trims) // len(team.quadrotor)
         for k, trim in enumerate(trims.tolist()):
             kind, stiffness = team.quadrotor[k // repeats], self.stiffness[k // repeats]
-            entries, note = {name: _yaml(value) for name, value in vars(kind).items()}, missing
+            entries = {name: _yaml(value) for name, value in vars(kind).items()}
+            note = missing
             if any(trim):
                 entries["trim"] = _yaml([round(x, 4) for x in trim])
             if stiffness.known:
@@ -271,7 +273,8 @@ def calibrate(
         while the plan has a hitch, or drones that are far from their plan.
     """
     recording, task = _recording_and_task(recording, plan, density)
-    team, windows = task.team, windows_of(recording, task, FRICTION_WINDOW)
+    team = task.team
+    windows = windows_of(recording, task, FRICTION_WINDOW)
     if not len(windows.t):
         bound = "of a flight with visible drones and vertices while the plan has a hitch"
         remedy = "record the vertices too, with t from the plan's start"
@@ -301,7 +304,8 @@ def calibrate(
         expected, errors, _, variance_factor = stiffness_balance.fitted(
             expected, spread, LONG_SCATTER
         )
-        stiffness, errors = np.exp(-expected[: len(kinds)]), errors * math.sqrt(variance_factor)
+        stiffness = np.exp(-expected[: len(kinds)])
+        errors = errors * math.sqrt(variance_factor)
         remedy = "displacements of drones are too small; fly a plan without the cables' weight"
         estimates = [
             _estimate(k, error * k, MODEL_ERROR, MAX_STIFFNESS_ERROR * k, remedy)
@@ -318,7 +322,8 @@ def calibrate(
     level = np.exp(-expected[: len(kinds)])[kind_of_drone]
     loops |= {"stiffness": level[:, None] / balance.relative_compliance, "integral": winds}
     settling = conditions_of(team, cable_density=rope_density, **loops)
-    t, setpoints = recording.t, task.states.positions
+    t = recording.t
+    setpoints = task.states.positions
     vertex_errors = length(recording.vertices - plan_at(task, t, task.states.vertices))
     return Calibration(
         task,
@@ -345,7 +350,8 @@ def _friction(
     spread[-1] = FRICTION_SCALE
     common, errors, tensions, _ = balance.fitted(expected, spread, SHORT_SCATTER)
     remedy = f"cables slide by {100 * distance:.1f} cm in total; move vertices farther"
-    mu, error = max(float(common[-1]), 0.0), float(errors[-1])
+    mu = max(float(common[-1]), 0.0)
+    error = float(errors[-1])
     return _estimate(mu, error, GEOMETRY_ERROR, MAX_FRICTION_ERROR, remedy), tensions
 
 
@@ -399,7 +405,8 @@ def _recording_and_task(
 
 def _aligned(flight: RecordedFlight, task: TeamTask, density: float | None) -> Recording:
     """Return the drones and vertices of a recorded flight in the plan's time and frame."""
-    team, own = task.team, set(flight.tracks)
+    team = task.team
+    own = set(flight.tracks)
     named = bool(own & set(team.point_names)) or not len(flight.markers.t)
     stated: dict[str, Any] = {}
     if flight.one_clock and not flight.epoch and named and own & set(team.drone_names):
@@ -450,7 +457,8 @@ class _Balance:
     @classmethod
     def of(cls, task: TeamTask, windows: Windows, conditions: Any, kinds: Indices) -> _Balance:
         """Return the problem at windows, without friction."""
-        team, zero = task.team, np.zeros_like(windows.positions)
+        team = task.team
+        zero = np.zeros_like(windows.positions)
         lengths = np.broadcast_to(team.cable_length, windows.tensions.shape)
         errors = {"cable_length": lengths, "offsets": zero, "forces": zero}
         energy = energy_of(team, conditions, vars(windows) | errors)
@@ -466,7 +474,8 @@ class _Balance:
         forces = np.zeros(x.shape[:2])
         for part in (slice(None, -1), slice(1, None)):
             np.add.at(forces.T, energy.nodes[:, part], np.moveaxis(variances, 0, 2))
-        level, rigid = team.stiffness[:, :1], np.isinf(team.stiffness)
+        level = team.stiffness[:, :1]
+        rigid = np.isinf(team.stiffness)
         relative_compliance = np.where(rigid, 1.0, level / np.where(rigid, 1.0, team.stiffness))
         return cls(energy, x, kinds, relative_compliance, np.sqrt(forces), bends, 0.0 * bends)
 
@@ -475,7 +484,9 @@ class _Balance:
 
         The scatter (windows, nodes) is in [m] for drones and in [N] for clasps.
         """
-        energy, many, used = self.energy, self.energy.drones, own[..., 1:]
+        energy = self.energy
+        many = self.energy.drones
+        used = own[..., 1:]
         on_ends = energy.forces(self.x[:, energy.nodes], own[..., 0], used).on_ends
         pulls = energy.pulls(on_ends)
         pulls[:, :many, :2] -= common[-3:-1]
@@ -496,10 +507,14 @@ class _Balance:
         Errors assume independent windows; persistent forces, such as downwash, correlate them. The
         factor is the number of windows that act as one.
         """
-        planned, many, g = self.energy.reference, self.energy.drones, len(expected)
-        count, size = len(planned), 3 * planned.shape[1]
+        planned = self.energy.reference
+        many = self.energy.drones
+        g = len(expected)
+        count = len(planned)
+        size = 3 * planned.shape[1]
         lower = np.array([1.0, np.median(planned)]) * min_scatter
-        scales, errors = INITIAL_SCATTER * lower, self.force_errors.copy()
+        scales = INITIAL_SCATTER * lower
+        errors = self.force_errors.copy()
         errors[:, :many] *= np.exp(expected[self.kinds])
         of_nodes = (np.arange(self.x.shape[1]) >= many).astype(np.intp)
         unknown = np.append(expected, np.pad(planned[..., None], ((0, 0), (0, 0), (0, 2))))
@@ -517,7 +532,8 @@ class _Balance:
         options |= {"max_nfev": MAX_EVALUATIONS, "jac_sparsity": block_array(blocks)}
         for _ in range(ROUNDS):  # the scatter of the residuals weights the next round
             solution = least_squares(values, unknown, "cs", **options)
-            unknown, residuals_by_window = solution.x, solution.fun[:-g].reshape(count, -1)
+            unknown = solution.x
+            residuals_by_window = solution.fun[:-g].reshape(count, -1)
             split = np.split(residuals_by_window, [3 * many, 3 * self.x.shape[1]], axis=1)[:2]
             scales = np.maximum(scales * [_scatter(part) for part in split], lower)
         J: Any = solution.jac
@@ -532,9 +548,12 @@ class _Balance:
 
         Sliding directions are those of short windows, as noise slides cables back and forth.
         """
-        layout, short = task.team.layout, windows_of(recording, task, RATE_WINDOW)
-        cable, side = np.stack([layout.ahead, layout.behind], axis=-1), np.arange(2)
-        middle, turns = 0.5 * (short.t[1:] + short.t[:-1]), self.bends[:, cable, side]
+        layout = task.team.layout
+        short = windows_of(recording, task, RATE_WINDOW)
+        cable = np.stack([layout.ahead, layout.behind], axis=-1)
+        side = np.arange(2)
+        middle = 0.5 * (short.t[1:] + short.t[:-1])
+        turns = self.bends[:, cable, side]
         one, other = (np.floor(t / FRICTION_WINDOW) for t in (middle, windows.t))
         span, window = np.nonzero(one[:, None] == other)
         visible = (short.visible[1:] & short.visible[:-1])[span][:, layout.clasps, None]
@@ -554,7 +573,8 @@ class _Balance:
             return np.asarray(sums / np.maximum(total, 1))
 
         rates = rates_of(short.drones, short.vertices)
-        pulls, rate = mean(friction_pulls(turns[window], rates, UNCERTAIN_RATE)), mean(rates)
+        pulls = mean(friction_pulls(turns[window], rates, UNCERTAIN_RATE))
+        rate = mean(rates)
         plan_rate = mean(rates_of(short.positions, short.planned))
         speed = _sliding(turns, rate)[1]
         usable = (total[..., 0] > 1) & (speed > MIN_RATE)

@@ -82,7 +82,8 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
     the largest force of integrals (2n, 3) [N]. Raises InputError for an unknown name, another
     shape, or a number that is not finite or out of its range.
     """
-    drones, conditions = (team.drones,), {}
+    drones = (team.drones,)
+    conditions = {}
     defaults = {"offsets": 0.0, "forces": 0.0, "axial_stiffness": AXIAL_STIFFNESS}
     defaults["friction"] = team.friction
     table: dict[str, tuple[tuple[int, ...], float]] = {
@@ -283,7 +284,9 @@ def _rest(
         )
         values = "settling", float(force[worst]), MAX_RESIDUAL, "max", "N", (), when, remedy
         raise InfeasibleError([Violation(*values)], "no equilibrium was found in these conditions")
-    T, ends, points = energy.tensions(x), x[:, energy.nodes], energy.points
+    T = energy.tensions(x)
+    ends = x[:, energy.nodes]
+    points = energy.points
     excess = energy.forces(ends, T).lengths - energy.lengths
     excess -= energy.compliance * (T - energy.reference)
     slack = np.maximum(energy.slack_tension, SLACK_RATIO * energy.reference) >= T

@@ -51,7 +51,8 @@ def save_statics(
     The picture is ``statics.png``, or ``svg`` or ``pdf``; with a ``width`` [inch] it is a figure
     for a paper. Only statics.json and its pictures are replaced; FileError if writing fails.
     """
-    content, figure = statics_content(rest, ranges), draw_statics(rest, ranges, width)
+    content = statics_content(rest, ranges)
+    figure = draw_statics(rest, ranges, width)
     writers: dict[str, Writer] = {
         f"statics.{format}": lambda path: style.save_figure(figure, path),
         STATICS: lambda path: write_strict_json(path, content),
@@ -112,7 +113,9 @@ def draw_statics(rest: Equilibrium, ranges: Tolerance | None, width: float | Non
     else:
         figure = style.page_figure(width, 2.0 * style.PAGE_SHARE * width + PAGE_LEGEND)
         left, right = figure.subplots(2, 1)
-    t, layout, cables = rest.t, rest.team.layout, rest.team.robots
+    t = rest.t
+    layout = rest.team.layout
+    cables = rest.team.robots
     if ranges is not None:
         low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
         drawn = np.minimum(high, MAX_DRAWN_RATIO * np.max(rest.tensions))
@@ -129,7 +132,8 @@ def draw_statics(rest: Equilibrium, ranges: Tolerance | None, width: float | Non
     style.from_zero(left, 0.1 + 0.06 * min(cables, MAX_NAMED))
     ring = np.arange(layout.points + layout.closed) % layout.points
     times = np.unique(np.linspace(0, len(t) - 1, len(TIME_COLOURS)).round().astype(np.intp))
-    lines, areas = dict[str, Any](planned=Line2D([], [], **PLANNED)), dict[str, Any]()
+    lines = dict[str, Any](planned=Line2D([], [], **PLANNED))
+    areas = dict[str, Any]()
     areas["drone"] = Line2D([], [], color=style.INK, marker="x", ls="none", ms=4)
     for colour, i in zip(TIME_COLOURS[-len(times) :], times, strict=True):
         path = right.plot(*rest.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.8)
@@ -180,7 +184,10 @@ def save_fit(
 
 def fit_as_json(fit: Fit) -> dict[str, Any]:
     """Return the content of ``fit.json``: polygons in metres, masses with binding limits."""
-    holding, task, grip, rest = fit.holding, fit.holding.task, fit.holding.grip, fit.holding.rest
+    holding = fit.holding
+    task = fit.holding.task
+    grip = fit.holding.grip
+    rest = fit.holding.rest
     content: dict[str, Any] = {
         "format": FIT_FORMAT,
         "notes": list(fit.notes),

@@ -77,7 +77,8 @@ def parameter_values(values: Values) -> list[Plain]:
     """Return the values of a parameter in order."""
     if isinstance(values, list):
         return [plain(value) for value in values]
-    space, grid = np.geomspace if values.grid.log else np.linspace, values.grid
+    space = np.geomspace if values.grid.log else np.linspace
+    grid = values.grid
     return [*space(grid.low, grid.high, grid.count).tolist()]
 
 
@@ -160,7 +161,8 @@ def simulate_keys() -> dict[str, Key]:
 
     Without a value the latter are as usual, or as the plan states.
     """
-    own, others = keys_of(SimulateKeys), flight_keys()
+    own = keys_of(SimulateKeys)
+    others = flight_keys()
     optional = {name: replace(others[name], default=None) for name in others if name not in own}
     return own | optional
 

@@ -135,7 +135,8 @@ def run_sweep(
     }
     writers = {STUDY: lambda path: write_strict_json(path, content)}
     replace_files(folder, writers, (STUDY,), seal=STUDY)
-    computed, refused = _read_rows(folder), 0
+    computed = _read_rows(folder)
+    refused = 0
     missing = {digest: case for digest, case in cases.items() if digest not in computed}
     workers = min(workers or os.cpu_count() or 1, len(missing))
     tasks = {digest: (case, digest) for digest, case in missing.items()}
@@ -202,7 +203,8 @@ def _read_rows(directory: Path) -> dict[str, Row]:
 
     Raises FileError if a row was edited.
     """
-    path, rows = directory / ROWS, dict[str, Row]()
+    path = directory / ROWS
+    rows = dict[str, Row]()
     try:
         lines = file_bytes(path).decode("utf-8", "replace").splitlines() if path.exists() else []
     except OSError as error:
@@ -278,7 +280,9 @@ def summary(rows: pandas.DataFrame, cases: int) -> Summary:
     """Return the totals of a sweep's rows; raises InputError if there are none."""
     if not len(rows):
         raise InputError("rows", 0, "at least 1", "run the sweep first")
-    planned, flights, share = rows["status"] == PLANNED, rows.get("simulate.succeeded"), None
+    planned = rows["status"] == PLANNED
+    flights = rows.get("simulate.succeeded")
+    share = None
     if flights is not None and len(flights := flights.dropna()):
         share = Share(int(flights.astype(bool).sum()), len(flights))
     reasons = rows.loc[~planned, "binding"].fillna(rows.loc[~planned, "status"])
@@ -317,7 +321,8 @@ def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figu
     heads = list(points[0])
     if not (keys := heads[: heads.index("planned")]):
         return None
-    figure, head = style.new_figure((6.5, 4.0)), [x for x in FIGURES.values() if x in heads][-1]
+    figure = style.new_figure((6.5, 4.0))
+    head = [x for x in FIGURES.values() if x in heads][-1]
     if width is not None:
         figure = style.page_figure(width, style.PAGE_SHARE * width)
     axes = figure.add_subplot(xlabel=keys[0], ylabel=head)
@@ -325,9 +330,11 @@ def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figu
     for row in points:
         curves.setdefault(", ".join(f"{key} {row[key]}" for key in keys[1:]), []).append(row)
     for (label, curve), (colour, style_of_line) in zip(curves.items(), cycle(STYLES)):
-        xs, line = [row[keys[0]] for row in curve], style_of_line
+        xs = [row[keys[0]] for row in curve]
+        line = style_of_line
         if any(isinstance(x, bool) or not isinstance(x, int | float) for x in xs):  # names
-            xs, line = list(map(str, xs)), "none"
+            xs = list(map(str, xs))
+            line = "none"
         axes.plot(xs, [row[head] for row in curve], "o", ls=line, ms=4, color=colour, label=label)
         for x, row in zip(xs, curve, strict=True):
             if not row["planned"]:
@@ -356,7 +363,8 @@ def compute_row(case: Case, digest: str) -> Row:
     from hitchopt.api import solve
     from hitchopt.mission.loading import problem_from_dict
 
-    row, start = case_columns(case, digest), time.process_time()
+    row = case_columns(case, digest)
+    start = time.process_time()
     try:
         plan = solve(problem_from_dict(case.problem), limit=case.limit)
         row |= {"status": PLANNED, "duration": plan.duration}
