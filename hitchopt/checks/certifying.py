@@ -205,7 +205,11 @@ class FlightChecks:
             return
         reports = [*self._limited_reports, *self._unlimited_reports]
         names = [rule.name for rule in RULES if rule.limit_of(flown.motion) is not None]
-        names += [report.name for report in reports if report in TEAM_REPORTS]
+        names += [
+            report.name
+            for report in reports
+            if isinstance(report, ReportRule) and report.applies(flown.motion)
+        ]
         if evaluated.name in names:
             label = f"{flown.name}: " if flown.name else ""
             self.progress(f"{label}{evaluated.name}, {names.index(evaluated.name)} of {len(names)}")

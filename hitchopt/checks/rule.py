@@ -291,6 +291,9 @@ class ReportRule(Quantity):
     free_remedy: str
     assumes_gamma: bool = True
 
+    applies: Callable[[Motion], bool] = lambda _motion: True
+    """Whether there is anything to evaluate in a motion."""
+
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check | None:
         """Return the value of one team as a check, which holds without a limit, or None."""
         with np.errstate(all="ignore"):

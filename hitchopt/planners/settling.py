@@ -9,8 +9,10 @@ small; without friction vertices follow the plan. Over-travels are plain morphs:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +29,7 @@ from hitchopt.planners.rests import IDLE, rest_motion, rest_plan
 from hitchopt.planners.routes import straight_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.values import Array, counted
+from hitchopt.values.fields import with_fields
 
 MIN_SLIDE = 1e-3
 """[m] Change of leg lengths below which a step ends without settling."""
@@ -60,6 +63,9 @@ SHARES = (1.0, 0.8, 0.6, 0.4)
 FOLLOWING = 0.5
 """Smallest way of a vertex that over-travels, over that of the vertex that moved farthest."""
 
+MAX_JERK = 8.0
+"""[m/s³] Largest jerk of drones."""
+
 BOTH_SLIDE = 0.5
 """Share of the friction of one cable in that of two that slide at one clasp: the sine of half the
 angle of 60° at which simulated cables cross there."""
@@ -91,18 +97,29 @@ def settling_plan(
 
     They over-travel along their paths from the hitch ``start``, or inward and outward without one.
     Where limits bind they over-travel less, or not at all; the remark names the vertex that may
-    rest farthest off. Raises InfeasibleError if that is farther than ``limits.vertex_error``, or if
-    limits bind within a prescribed ``duration`` [s].
+    rest farthest off, and what it lacks. Raises InfeasibleError if that is farther than
+    ``limits.vertex_error``, or if limits bind within a prescribed ``duration`` [s].
     """
     settling = Settling(task, duration, phase, start)
     if not settling.width >= STEP:  # nan without a balance
         return settling.rest(f"friction holds vertices within {50.0 * settling.width:.2g} cm")
-    ways = [Candidate("over-travel", partial(settling.over_travels, share)) for share in SHARES]
-    if duration is None:
-        ways[-1] = replace(
-            ways[-1], amended=lambda error: Candidate("rest", partial(settling.unsettled, error))
-        )
-    return first_certified(ways, Effort())
+    shares = (*SHARES, 0.0) if duration is None else SHARES
+    settled = first_certified([settling.candidate(shares)], Effort())
+    settling.require_near(settled)
+    return settled.plan
+
+
+class Settled(NamedTuple):
+    """A certified plan at whose end friction may hold a vertex off its goal."""
+
+    plan: StepPlan
+    """The plan."""
+
+    short: float
+    """Distance that the vertex may be off [m]."""
+
+    cause: InfeasibleError | None
+    """What larger over-travels break; None if these suffice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,23 +198,54 @@ class Settling:
 
         return MOVE_SHARE * longest_period(self.task.hitch.team, self.at_rest)
 
+    def candidate(
+        self, shares: Sequence[float], cause: InfeasibleError | None = None
+    ) -> Candidate[Settled]:
+        """Return the candidate of the first share, amended to the next ones where limits bind."""
+        share, *smaller = shares
+
+        def amended(error: InfeasibleError) -> Candidate[Settled] | None:
+            """Return the candidate of smaller over-travels."""
+            return self.candidate(smaller, cause or error) if smaller else None
+
+        return Candidate("over-travel", partial(self._settled, share, cause), amended)
+
+    def _settled(self, share: float, cause: InfeasibleError | None) -> Settled:
+        """Return the certified plan of over-travels from a share of the first friction on."""
+        short = min(0.5, SUFFICIENT - share * FIRST) * self.width
+        plan = self.over_travels(share) if share else self.rest(f"{self.vertex} does not settle")
+        if cause is None:
+            return Settled(plan, 0.0, None)
+        broken = str(replace(cause.violations[0], remedy="")).rstrip("; ")
+        remark = (
+            f"it may rest {100.0 * short:.2g} cm short, since larger over-travels break {broken}"
+        )
+        return Settled(plan.with_remark(remark), short, cause)
+
     def over_travels(self, share: float) -> StepPlan:
         """Return the certified plan of the over-travels from a share of the first friction on."""
         goal = self.task.hitch
-        short = min(0.5, SUFFICIENT - share * FIRST) * self.width
-        self._require_near(short)
         hitches = self._beyond(self._frictions(share * FIRST))
         size = max(float(np.max(length(each.vertices - goal.vertices))) for each in hitches)
         ends = [*hitches, goal, goal]
-        moves = plan_in_sequence([partial(self._move, end) for end in ends], self.task)
-        motion = moves.motion.replaced(phases=(self.phase.retimed(0.0, moves.motion.duration),))
+        moves = plan_in_sequence([partial(self._move, end) for end in ends], self._smooth_task)
+        motion = moves.motion.replaced(
+            phases=(self.phase.retimed(0.0, moves.motion.duration),),
+            requirements=self.task.requirements,
+        )
         if self.duration is not None:
             motion = _lasting(motion, self.duration)
         times = counted(len(hitches), "time")
         remark = f"{self.vertex} over-travels {times}, by up to {100.0 * size:.2g} cm"
-        if short > 0.0:
-            remark += f", and may rest {100.0 * short:.2g} cm short: limits bind"
         return require_certified(moves.replaced(motion, moves.after).with_remark(remark))
+
+    @property
+    def _smooth_task(self) -> StepTask:
+        """The task with jerks at which motors do not saturate as drones turn back."""
+        requirements = self.task.requirements
+        limits = requirements.limits
+        smooth = with_fields(limits, jerk=min(limits.jerk, MAX_JERK))
+        return self.task.within(replace(requirements, limits=smooth), self.task.before)
 
     def _frictions(self, first: float) -> Array:
         """Return the shares of friction of over-travels, which decay from the first; none is above.
@@ -240,28 +288,21 @@ class Settling:
         factor = max(1.0, self.shortest_move / plan.motion.duration)
         return plan.replaced(plan.motion.slowed(factor), plan.after)
 
-    def unsettled(self, error: InfeasibleError) -> StepPlan:
-        """Return the plan of a rest, where all over-travels break limits, as the error says."""
-        short = 0.5 * self.width
-        self._require_near(short)
-        broken = str(replace(error.violations[0], remedy="")).rstrip("; ")
-        remark = f"{self.vertex} may rest {100.0 * short:.2g} cm short, without room to over-travel"
-        return self.rest(f"{remark}: {broken}")
-
     def rest(self, remark: str) -> StepPlan:
         """Return the plan of a rest."""
         hitch, requirements = self.task.hitch, self.task.requirements
         motion = rest_motion(hitch, requirements, self.duration or IDLE, self.phase)
         return self.task.plan_ending(motion, hitch).with_remark(remark)
 
-    def _require_near(self, short: float) -> None:
+    def require_near(self, settled: Settled) -> None:
         """Raise InfeasibleError for a vertex that may rest farther off [m] than its limit."""
         limit = self.task.requirements.limits.vertex_error
-        if limit is not None and short > limit:
-            where, when = (self.vertex,), "after over-travels"
-            remedy = "give vertices room to over-travel, or use smoother cables (cable_friction)"
-            values = "vertex_error", short, limit, "max", "m", where, when, remedy
-            raise InfeasibleError([Violation(*values)])
+        if limit is None or settled.cause is None or settled.short <= limit:
+            return
+        where, when = (self.vertex,), "after over-travels"
+        remedy = "give vertices room to over-travel, or use smoother cables (cable_friction)"
+        values = "vertex_error", settled.short, limit, "max", "m", where, when, remedy
+        raise InfeasibleError([Violation(*values), *settled.cause.violations])
 
 
 def _lasting(motion: Motion, duration: float) -> Motion:

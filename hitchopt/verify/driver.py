@@ -32,7 +32,7 @@ from .reading import (
 from .request import requested
 from .shapes import to_frame
 from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Spans, Worst, fault_row, prove, worst_row
-from .statics import vertex_errors
+from .statics import friction_shifts, vertex_errors
 from .teams import Pair, arc_distances, between_plans, object_distances
 from .tying import bent_cables, free_cables
 
@@ -220,7 +220,7 @@ def plan_rows(p: Plan) -> Iterator[Row]:
         (resting, gripped, steady, hinged, clear_held), range(len(p.bodies))
     ):
         yield from check_of(p, b)
-    yield from (*jumps(p), *interlacing(p), *vertex_errors(p))
+    yield from (*jumps(p), *interlacing(p), *vertex_errors(p), *friction_shifts(p))
 
 
 def distances(p: Plan) -> Iterator[Row]:

@@ -25,6 +25,7 @@ LEVELS = np.linspace(0.1, 1.0, 10)  # fractions of the errors, one after the oth
 ITERATIONS = 30  # of Newton's method, at each level
 SOLVED = 1e-9  # [m] largest last step
 STEP = 1e-30  # step of complex-step derivatives
+PLAIN = 1e-9  # [N] of pulls that equal those of edges
 
 # Horizontal and vertical gains
 PER_MASS = {  # [1/s²] default gains kp of controllers over the mass
@@ -65,7 +66,9 @@ class Rest:
     times as much as its edge, where the cable bends by θ.
     """
 
-    def __init__(self, p: Plan, drones: Array, vertices: Array, tensions: Array) -> None:
+    def __init__(
+        self, p: Plan, drones: Array, vertices: Array, tensions: Array, pulls: Array | None = None
+    ) -> None:
         n, N, clasps = p.n, p.N, p.clasps
         node = np.full(len(vertices), -1)
         node[clasps] = N + np.arange(len(clasps))
@@ -86,7 +89,12 @@ class Rest:
         self.heights = 0.5 * (ends[:, 1, 2] + ends[:, 2, 2])
         self.held = np.zeros((N, 3))
         unknowns = np.concatenate([self.planned.ravel(), tensions])
-        forces = self.balance(unknowns, np.zeros(n + 3 * N + 2 * n), np.zeros(2 * n))[: 3 * N]
+        bends = self.bends(unknowns)
+        self.errors = np.zeros(n + 3 * N + 2 * n)  # friction of the pulls (2 n,) [N] of legs
+        if pulls is not None:
+            ratios = np.log(pulls / np.repeat(tensions, 2))
+            self.errors[n + 3 * N :] = ratios / np.where(bends > 0.0, bends, 1.0)
+        forces = self.balance(unknowns, self.errors, bends)[: 3 * N]
         self.held = -forces.reshape(N, 3)
 
     def balance(self, unknowns: Array, errors: Array, bends: Array) -> Array:
@@ -237,6 +245,42 @@ def rests(p: Plan) -> Iterator[tuple[float, Rest]]:
                 places.append(drones)
                 at = float(p.breaks[q - end])
                 yield at, Rest(p, drones, p.points.c[0][q, p.V, :, end], T)
+
+
+def friction_shifts(p: Plan) -> Iterator[Row]:
+    """Yield the row of how far vertices leave their ways with the least friction, if limited.
+
+    It is evaluated at the starts of pieces on which legs pull more or less than their edges.
+    """
+    if not p.n or not p.frictional or not p.mu or not p.tube[0]:
+        return
+    stated = p.settings["team"]["cable_friction"]
+    least = min(stated) if isinstance(stated, list) else 0.0
+    free = (p.state == "hitched") & ~np.any(p.held, axis=0)
+    values = list[Worst]()
+    for i in range(len(p.phases)):
+        on = np.flatnonzero((p.phase == i) & free)
+        of_vertices = p.points.c[0][on][:, p.V]
+        T, pulls = p.tensions.c[0][on, :, 0], p.pulls.c[0][on, :, 0]
+        leans = np.max(np.abs(pulls - np.repeat(T, 2, axis=1)), axis=(1, 2), initial=0.0) > PLAIN
+        for k, q in zip(np.flatnonzero(leans), on[leans], strict=True):
+            corners = of_vertices[k, ..., 0]
+            rest = Rest(p, p.points.c[0][q, : p.N, :, 0], corners, T[k, :, 0], pulls[k, :, 0])
+            places = rest.places(rest.settled(least / p.mu * rest.errors))
+            ways = np.concatenate([of_vertices[..., 0], of_vertices[-1:, ..., -1]])
+            off = distances_from(ways, places)
+            values += zip(off.tolist(), [float(p.breaks[q])] * len(off), p.labels[p.V], strict=True)
+    if values:
+        yield worst_row("friction_shift", "m", p.tube[0], values)
+
+
+def distances_from(ways: Array, places: Array) -> Array:
+    """Return the distances (P,) [m] of places (P, 3) from polylines (points, P, 3)."""
+    start, along = ways[:-1], np.diff(ways, axis=0)
+    share = np.sum((places - start) * along, axis=-1) / np.maximum(norm(along) ** 2, STEP)
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+    off = np.min(norm(places - nearest), axis=0)
+    return np.where(np.isfinite(off), off, np.inf)
 
 
 def vertex_errors(p: Plan) -> Iterator[Row]:

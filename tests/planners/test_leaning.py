@@ -12,6 +12,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify
+from hitchopt.checks.friction_shifts import distances_from_ways, rests_with_least_friction
 from hitchopt.motion.motion import Motion
 from hitchopt.planners import settling
 from hitchopt.planners.morph.friction import (
@@ -159,6 +160,39 @@ def test_remarks_say_whether_legs_lean(
     assert plan.motion.leg_tensions_differ == leans
 
 
+def test_less_friction_moves_vertices_less_the_nearer_it_is_to_what_legs_lean_against(
+    tmp_path: Path,
+) -> None:
+    """Between the least friction and that of the plan, vertices rest ahead on their ways."""
+    plan = slid(MOVE, limits=ho.Limits(tracking=0.05))
+    motion, check = plan.motion, plan.certificate["friction_shift"]
+    t = np.linspace(0.0, plan.phases[0].end, 24)
+    planned = plan.at(t).vertices
+    shifts, moves = list[float](), list[float]()
+    for least in (0.0, 0.04, 0.08, 0.1):
+        ranged = replace(motion, team=replace(motion.team, cable_friction=(least, 0.1)))
+        rests = rests_with_least_friction(ranged, t)
+        shifts.append(float(np.max(distances_from_ways(rests, planned))))
+        moves.append(float(np.max(np.linalg.norm(rests - planned, axis=-1))))
+    assert np.all(np.diff(shifts) < 0.0)
+    assert np.all(np.diff(moves) < 0.0)
+    assert moves[-1] < 1e-3
+    assert moves[0] > 0.02
+    assert check.worst == pytest.approx(shifts[0], rel=0.02)
+    assert (check.limit, check.holds) == (0.05, True)
+    plan.save(tmp_path)
+    (row,) = (row for row in verify.verify(tmp_path / "plan.npz") if row.name == "friction_shift")
+    assert row.worst == pytest.approx(check.worst, rel=0.05)
+
+
+def test_legs_lean_less_if_less_friction_moved_vertices_off_their_ways() -> None:
+    free = slid(MOVE, limits=ho.Limits(tracking=0.05))
+    allowed = 0.6 * free.certificate["friction_shift"].worst
+    tight = slid(MOVE, limits=ho.Limits(tracking=allowed))
+    assert tight.certificate["friction_shift"].worst <= allowed
+    assert re.search("% of the friction: limits bind", tight.phases[0].remark)
+
+
 def test_only_the_steps_that_slide_lean() -> None:
     turned = Transport(np.array([0.5, 0.0, 1.4]), yaw=0.35)
     plan = slid(Hold(0.5), MOVE, turned, Adjust("balanced", duration=4.0, settle=False))
@@ -208,6 +242,13 @@ def test_a_hitch_settles_by_shrinking_and_growing_less_and_less() -> None:
     assert np.all(np.abs(turns[2:]) < np.abs(turns[:-2]))  # bands are wider on one side
     resting = samples.t > plan.duration - 0.5
     assert np.max(np.ptp(samples.vertices[resting], axis=0)) < 1e-9
+    jerks = np.linalg.norm(samples.jerks, axis=-1)
+    assert (
+        0.9 * settling.MAX_JERK
+        < np.max(jerks)
+        < settling.MAX_JERK
+        < plan.motion.requirements.limits.jerk
+    )
 
 
 MOVES = (
@@ -313,7 +354,8 @@ def test_vertices_over_travel_less_where_limits_bind(tmp_path: Path) -> None:
     tight = slid(OUTWARD, arena=ho.Arena([-9.0, -9.0, 0.0], [9.0, highest - 0.1, 9.0]))
     sizes = [turning_points(plan, OUTWARD.by)[0] for plan in (free, tight)]
     assert sizes[1] < 0.7 * sizes[0]
-    assert re.search("p0 .* and may rest .* cm short: limits bind", tight.phases[-1].remark)
+    remark = "p0 over-travels .* may rest .* cm short, since larger over-travels break arena: "
+    assert re.search(remark, tight.phases[-1].remark)
     tight.save(tmp_path)
     assert verify.main([str(tmp_path)]) == 0
 
@@ -361,17 +403,32 @@ def test_settling_takes_the_time_that_limits_and_over_travels_need() -> None:
 
 @pytest.mark.slow
 def test_vertices_without_room_to_over_travel_are_named_or_refused() -> None:
-    """Walls that drones just reach; without over-travels, friction holds half of its band."""
+    """Walls that drones just reach; without over-travels, friction holds half of its band.
+
+    The refusal names the walls, and changes of walls and of cables are found and planned.
+    """
     still = slid(Hold(1.0)).at(0.0).positions
     walls = ho.Arena(still.min(axis=0) - 0.005, still.max(axis=0) + 0.005)
     tight = slid(Settle(), arena=walls)
-    remark = re.search(r"p\d may rest (.*) cm short, .*: arena", tight.phases[0].remark)
+    remark = re.search(r"p\d does not settle; it may rest (.*) cm .* arena", tight.phases[0].remark)
     assert remark is not None
     short = 0.01 * float(remark[1])
     enough, tighter = ho.Limits(vertex_error=short + 0.2), ho.Limits(vertex_error=0.9 * short)
     assert slid(Settle(), arena=walls, limits=enough).phases[0].remark == tight.phases[0].remark
-    with pytest.raises(ho.InfeasibleError, match=r"vertex_error: .* after over-travels"):
-        slid(Settle(), arena=walls, limits=tighter)
+    team = ho.Team(3, 2.4, tension=0.5, cable_friction=0.1)
+    start = ho.HitchStart(SLIDING, 1.0)
+    refused = ho.Problem(team, start, (Settle(),), arena=walls, limits=tighter)
+    with pytest.raises(ho.InfeasibleError, match=r"vertex_error: .* after over-travels") as caught:
+        ho.solve(refused)
+    vertex_error, *causes = caught.value.violations
+    assert vertex_error.value == pytest.approx(short, abs=6e-3)
+    assert {cause.constraint for cause in causes} == {"arena"}
+    found = ho.suggestions(refused)
+    assert found
+    for suggestion in found:
+        changed = ho.solve(suggestion.change.problem)
+        assert changed.certificate.certified
+        assert changed.duration == pytest.approx(suggestion.duration)
 
 
 def test_settling_needs_friction() -> None:
