@@ -17,6 +17,7 @@ from hitchopt.planners.separation.prioritized import (
     prioritized,
 )
 from hitchopt.planners.separation.task import SeparationTask
+from hitchopt.planners.timing.ramps import fastest_ramps
 from problems.swarm import random_corridor, random_door
 
 SEPARATION = Separation(0.11, 0.25)
@@ -119,3 +120,15 @@ def test_flights_from_schedules_are_certified(data: dict[str, Any]) -> None:
     first, second = np.triu_indices(scaled.shape[1], 1)
     closest = np.min(np.linalg.norm(scaled[:, first] - scaled[:, second], axis=-1))
     assert closest >= plan.certificate["separation"].worst >= 1.0 - 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [21, 38])
+def test_those_that_wait_do_not_slow_down_everybody(seed: int) -> None:
+    """Through a door, drones are faster at once than one after the other."""
+    data = random_door(seed)
+    plan = ho.separate(ho.problem_from_dict(data))
+    distances = np.linalg.norm(np.subtract(data["goal"], data["start"]), axis=-1)
+    limits = plan.motion.requirements.limits
+    alone, _ = fastest_ramps(distances, limits.speed, limits.acceleration, limits.jerk)
+    assert plan.duration < np.sum(alone)

@@ -18,6 +18,7 @@ import hitchopt as ho
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.quadratic_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
+from hitchopt.hitch.series import chained
 from hitchopt.planners.separation import SeparatedCurves, SeparationResult, SeparationTask
 from hitchopt.planners.separation.guesses import (
     on_layers,
@@ -29,6 +30,8 @@ from hitchopt.planners.separation.guesses import (
 )
 from hitchopt.planners.separation.one_by_one import order_of
 from hitchopt.planners.separation.program import hull_points, planes_to_prism, solve_program
+from hitchopt.planners.separation.retiming import retimed
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from problems.swarm import antipodal_circle, square_mission
 
@@ -438,6 +441,28 @@ def test_drones_pass_a_door_one_after_the_other(monkeypatch: pytest.MonkeyPatch)
     assert found.remark == "one after the other"
     given = replace(task, duration=1.5 * found.drones.duration)
     assert_kept(given, separate(given))
+
+
+def test_a_faster_clock_leads_drones_along_the_same_curves() -> None:
+    """A clock that is up to 23 times slower than it may be is as good as another one."""
+    setting = setting_of(circle(5, 1.2))
+    curves = setting.grid.curves(pushed_apart(setting, 0.5), 1.0)
+    t = np.linspace(0.0, 20.0, 41)
+    slow = np.polynomial.Polynomial([0.0, 0.015, 0.0, 0.7 / 20.0**3])  # from 0 to 1
+    clock = np.stack([slow(t), *(slow.deriv(order)(t) for order in (1, 2, 3))], axis=-1)
+    jets = chained(curves.jet(clock[:, 0], 4), clock[:, None, None])
+    faster = retimed(setting, PiecewisePolynomial.through_jets(t, jets))
+    assert faster.duration < 0.4 * t[-1]
+    ends = faster.at([0.0, faster.duration])
+    np.testing.assert_allclose(ends, curves.at([0.0, 1.0]), atol=1e-9)
+    on_way = curves.at(np.linspace(0.0, 1.0, 5001)).reshape(5001, -1)
+    places = faster.at(np.linspace(0.0, faster.duration, 51)).reshape(51, -1)
+    apart = np.min(np.linalg.norm(places[:, None] - on_way, axis=-1), axis=1)
+    assert np.max(apart) < 2e-3
+    samples = np.linspace(0.0, faster.duration, 2001)
+    for order, limit in enumerate((LIMITS.speed, LIMITS.acceleration, LIMITS.jerk), start=1):
+        largest = np.max(np.linalg.norm(faster.at(samples, order), axis=-1))
+        assert 0.3 * limit < largest < 1.2 * limit
 
 
 def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,8 +38,9 @@ from hitchopt.planners.separation.program import (
     planes_between,
     planes_to_prism,
 )
+from hitchopt.planners.separation.retiming import retimed
 from hitchopt.planners.separation.task import SeparationResult, SeparationTask, Setting
-from hitchopt.planners.timing.profile import LIMIT_SHARE
+from hitchopt.planners.timing.profile import LIMIT_SHARE, if_timed
 from hitchopt.planners.timing.timed_motion import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.search import rough_bounds
@@ -68,6 +69,9 @@ FAIR_RATIO = 1.15
 
 MIN_GAIN = 0.02
 """Smallest relative improvement."""
+
+MAX_RETIMINGS = 4
+"""Maximum number of clocks of clear curves, each on the breaks of the last one."""
 
 DAMPING = 1e-4
 """Weight of squared changes in a program, as in Levenberg and Marquardt's method."""
@@ -199,14 +203,17 @@ class SeparatedCurves:
         """Return the curves that programs reach from a guess; raise InfeasibleError otherwise."""
         report(f"guess: {guess.rule or 'straight'}")
         task, best = self.task, _improved(guess, report, effort)
-        duration = task.duration or best.duration
-        violations = list(best.violations)
-        if best.clear and best.duration > duration:
-            violations = [_too_short(task, best.duration, SLOW_ROUTE)]
-        if violations:
-            raise InfeasibleError(violations, LOCAL_SEARCH)
-        curves = guess.setting.grid.curves(best.coefficients, duration)
-        return SeparationResult(curves, best.closest, self.problem.bound, guess.rule)
+        if not best.clear:
+            raise InfeasibleError(list(best.violations), LOCAL_SEARCH)
+        curves = guess.setting.grid.curves(best.coefficients, best.duration)
+        curves = _fastest(guess.setting, curves)
+        if task.duration is not None:
+            if curves.duration > task.duration:
+                violations = [_too_short(task, curves.duration, SLOW_ROUTE)]
+                raise InfeasibleError(violations, LOCAL_SEARCH)
+            curves = curves.stretched(task.duration / curves.duration)
+        closest = _closest(_checks(task, curves))
+        return SeparationResult(curves, closest, self.problem.bound, guess.rule)
 
     def _in_a_row(self, report: Progress) -> SeparationResult:
         """Return curves of one drone after the other; raise InfeasibleError without any."""
@@ -238,8 +245,7 @@ class SeparatedCurves:
         ]
         if violations:
             raise InfeasibleError(violations, LOCAL_SEARCH)
-        closest = next(check.worst for check in checks if check.name == "separation")
-        return SeparationResult(curves, closest, self.problem.bound, "one after the other")
+        return SeparationResult(curves, _closest(checks), self.problem.bound, "one after the other")
 
 
 class Guess(NamedTuple):
@@ -344,14 +350,17 @@ def _search_ends(
     """Return whether the best curves suffice, or too many rounds have not improved them."""
     if not best.clear:
         return idle_rounds >= MAX_IDLE_ROUNDS_UNCLEAR
-    prescribed = setting.task.duration
-    good = best.duration <= (prescribed or GOOD_RATIO * setting.single_duration)
-    fair = best.duration <= (prescribed or FAIR_RATIO * setting.single_duration)
+    fair = best.duration <= (setting.task.duration or FAIR_RATIO * setting.single_duration)
     return (
-        good
+        _is_good(setting, best.duration)
         or (fair and current.clear and idle_rounds >= MAX_IDLE_ROUNDS_FAIR)
         or idle_rounds >= MAX_IDLE_ROUNDS
     )
+
+
+def _is_good(setting: Setting, duration: float) -> bool:
+    """Return whether a duration [s] is the prescribed one, or near that of single flights."""
+    return duration <= (setting.task.duration or GOOD_RATIO * setting.single_duration)
 
 
 def _planes(
@@ -470,8 +479,29 @@ def evaluate(setting: Setting, coefficients: Array) -> CurveBounds:
         for check in checks
         if not check.holds
     )
-    closest = next((check.worst for check in checks if check.name == "separation"), math.inf)
-    return CurveBounds(coefficients, duration, closest, tuple(violations))
+    return CurveBounds(coefficients, duration, _closest(checks), tuple(violations))
+
+
+def _closest(checks: Sequence[Check]) -> float:
+    """Return the smallest separation of any two drones; infinite for one drone."""
+    return next((check.worst for check in checks if check.name == "separation"), math.inf)
+
+
+def _fastest(setting: Setting, curves: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return clear curves retimed until they are good, or no faster."""
+    for _ in range(MAX_RETIMINGS):
+        if _is_good(setting, curves.duration):
+            break
+        faster = if_timed(partial(retimed, setting, curves))
+        if faster is None:
+            break
+        at_once = faster.stretched(1.0 / faster.duration)
+        faster = at_once.stretched(_shortest_duration(setting, at_once))
+        is_clear = all(check.holds for check in _checks(setting.task, faster))
+        if not is_clear or faster.duration > (1.0 - MIN_GAIN) * curves.duration:
+            break
+        curves = faster
+    return curves
 
 
 def _shortest_duration(setting: Setting, curves: PiecewisePolynomial) -> float:

@@ -227,6 +227,8 @@ class ClockedPath:
     def ratios(self, p: Array) -> Array:
         """Return (4, M, 2n): acceleration, jerk, thrust and tilt over their limits.
 
+        Without loads these are the first two alone.
+
         Parameters
         ----------
         p: (3, M): x, x', x''.
@@ -237,16 +239,15 @@ class ClockedPath:
         acceleration = x * self.second + 0.5 * x1 * self.first
         jerk_over_root = x * self.third + 1.5 * x1 * self.second + 0.5 * x2 * self.first
         jerk = np.sqrt(x) * jerk_over_root
+        ratios = [
+            length(acceleration) / limits.acceleration,
+            length(jerk) / self.largest_jerks[:, None],
+        ]
+        if not self.demands.has_loads:
+            return np.stack(ratios)
         thrust = team.mass[:, None] * acceleration + self.demands.loads
         tilt = np.arctan2(np.hypot(thrust[..., 0], thrust[..., 1]), thrust[..., 2])
-        return np.stack(
-            [
-                length(acceleration) / limits.acceleration,
-                length(jerk) / self.largest_jerks[:, None],
-                length(thrust) / team.max_thrust,
-                tilt / limits.tilt,
-            ]
-        )
+        return np.stack([*ratios, length(thrust) / team.max_thrust, tilt / limits.tilt])
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,16 +283,14 @@ class RateRows:
 
         Parameters
         ----------
-        drones: (4, M, R'), those with rows of acceleration, jerk, thrust and tilt.
+        drones: (4, M, R'), those with rows of acceleration, jerk, thrust and tilt; without loads
+            (2, M, R').
         """
-        acceleration_drones, jerk_drones, thrust_drones, tilt_drones = drones
-        limits = (
-            _speed_rows(path),
-            _acceleration_rows(path, acceleration_drones),
-            _jerk_rows(path, jerk_drones),
-            _thrust_rows(path, thrust_drones),
-            _tilt_rows(path, tilt_drones),
-        )
+        rows_of_limits = (_acceleration_rows, _jerk_rows, _thrust_rows, _tilt_rows)
+        limits = [_speed_rows(path)]
+        limits += [
+            rows(path, nearest) for rows, nearest in zip(rows_of_limits, drones, strict=False)
+        ]
         all_parts = (np.concatenate(parts, axis=1) for parts in zip(*limits, strict=True))
         Q, C, b, c, e = (np.ascontiguousarray(part.T) for part in all_parts)
         return cls(Q - C, C, b, c, e)

@@ -80,7 +80,8 @@ class Demands:
     """(J,) [m]: largest first derivative of a vertex."""
 
     loads: Array
-    """(J, 2n, 3) [N]: thrusts at rest, which balance weight and cable force."""
+    """(J, 2n, 3) [N]: thrusts at rest, which balance weight and cable force; (J, 0, 3) for drones
+    whose limit of acceleration is within those of thrust and tilt."""
 
     team: Team
     """The team, with masses and largest thrusts."""
@@ -114,6 +115,11 @@ class Demands:
             self.limits,
             self.share,
         )
+
+    @property
+    def has_loads(self) -> bool:
+        """Whether thrust and tilt are limited as well."""
+        return bool(self.loads.shape[1] > 0)
 
     @property
     def speed_bound(self) -> Array:
