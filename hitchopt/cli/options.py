@@ -167,7 +167,7 @@ def width_option(of: str) -> click.Option:
 
 def paper_option(of: str = "the picture") -> click.Option:
     """Return the option for the width of a picture among other results; with it, this is a PDF."""
-    return width_option(f"{of}, then a PDF,")
+    return width_option(f"{of}, a PDF")
 
 
 def picture_format(width: float | None) -> str:

@@ -51,12 +51,10 @@ def report(directory: Path, ghost: Path | None) -> None:
         "PATH",
     ),
     width_option("a saved picture"),
-    option(
-        "--height", "Height of that picture; by default it follows from its parts.", float, "INCHES"
-    ),
+    option("--height", "Height of that picture; default: that of its parts.", float, "INCHES"),
     option(
         "--panels",
-        "Its parts, of plan, separation, speed and thrust; all by default.",
+        "Parts of that picture, from plan, separation, speed and thrust; default: all.",
         str,
         "NAME,…",
     ),

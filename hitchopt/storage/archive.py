@@ -69,7 +69,7 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
                 raise FileError(f"readers may confuse its members {other!r:.99} and {name!r:.99}")
         for name in names:
             if (count := listed.count(f"{name}.npy")) != 1:
-                raise FileError(f"array {name!r} is in it {count} times, not once")
+                raise FileError(f"it contains the array {name!r} {count} times, not once")
         members = {name: archive.getinfo(f"{name}.npy") for name in names}
         check_expansion(sum(info.file_size for info in members.values()), path.stat().st_size)
         return {name: _array(name, _read(archive, info)) for name, info in members.items()}

@@ -615,7 +615,7 @@ def plans_of_teams(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]
             name, several = head["name"], len(s["groups"]) > 1 or key == "others"
             form = r"[^\W\d][\w-]*" + r"(\.[^\W\d][\w-]*)?" * (key == "others")
             if not (re.fullmatch(form, name) if several else name == "") or fold(name) in seen:
-                raise ValueError(f"{name!r:.60} is not a valid name of its own")
+                raise ValueError(f"{name!r:.60} is not a valid name, or not unique")
             if key == "groups" and (head["plan"] or head["digest"]):
                 raise ValueError("a team is from another plan")
             seen.add(fold(name))

@@ -258,7 +258,10 @@ LIES = [
     (SPANS % "((0, 0.5), (0.6, 1))", r"phases = \["),
     (SPANS % "((0.5, 1),)", r"phases = \["),
     (SPANS % "()", r"phases = \["),
-    *((f"del a[{name.removeprefix(GROUP)!r}]", f"'{name}' is in it 0 times") for name in ARRAYS),
+    *(
+        (f"del a[{name.removeprefix(GROUP)!r}]", f"contains the array '{name}' 0 times")
+        for name in ARRAYS
+    ),
 ]
 """Changes after which a file is no plan, and what is said of it."""
 

@@ -191,7 +191,7 @@ def _hover_options() -> Sequence[click.Option]:
     option("-o --output", "YAML file for the estimates of team or drones.", PATH, "FILE"),
     option("--density", "Measured density of the cables.", float, "KG/M"),
     _hover_options,
-    option("--names", "Names of drones in hovers, such as cf2=q0,cf7=r0.", str, "NAMES"),
+    option("--names", "Drones by their recorded names, such as cf2=q0,cf7=r0.", str, "NAMES"),
     nargs=-1,
     required=True,
 )
@@ -228,7 +228,9 @@ def calibrate(
         raise InputError(key, value, "given for hovers, without a plan", remedy)
     if len(recordings) > 1:
         remedy = "calibrate flights of a plan one by one"
-        raise InputError("recordings", len(recordings), "one, with a plan", remedy)
+        raise InputError(
+            "recordings", len(recordings), "a single flight, if it is one of a plan", remedy
+        )
     folder = None if plan is None else plan_path(plan).parent
     with ProgressBar("estimating"):
         calibration = ho.calibrate(first, folder, density=density)

@@ -29,9 +29,7 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
         "DIR",
     ),
     option("-o --output", "Output directory; default: evaluation next to RECORDING.", PATH, "OUT"),
-    option(
-        "--names", "Names of drones for recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"
-    ),
+    option("--names", "Drones by their recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"),
     option(
         "--frame",
         "plan, y-up, fit, or a file such as another flight's evaluation.json.",
@@ -74,7 +72,7 @@ def evaluate(
 ) -> None:
     """Compare RECORDING, a flight, with the plan in --plan: vertices (from markers) and drones.
 
-    An export has the plan's copy with the times of its files and of fly.py.
+    For an export, times are those of its files and of fly.py.
 
     Without a plan, the contents of RECORDING are listed: bodies, quantities, topics, rates and
     gaps. RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,

@@ -182,17 +182,17 @@ def simulate(
 ) -> None:
     """Simulate the plan or export in DIR with cables and drones (ropes need mujoco).
 
-    An export, a folder or file that hitchopt export wrote, is flown by its files: their setpoints,
-    gains and filter, and what fly.py does between parts. A plan is flown with its cables, its
-    drones, and their controller with the filter and the files that would be exported for it.
-    Options change one of these each. Vertex errors are distances in three dimensions, including
-    sag. A single flight exits with 3 if drones touch, leave limits.tracking, the arena or, in
-    flight, hit the ground, a cable is pulled with five times its planned tension, a vertex does not
-    hold at a rest, an object is touched, dropped or not placed within 3 cm and 5° beyond the plan's
-    tracking errors, or the simulation leaves its valid range; with --lose, if a survivor touches
-    anything or no reaction is found (exports contain none: survivors fly on), and with --cut, if
-    anything but the cable that falls is touched. A campaign (--runs) exits with 0 and reports the
-    success rate.
+    DIR is a plan, or an export, a folder or file that hitchopt export wrote. An export is flown by
+    its files, with their gains and filter and the pauses of fly.py between parts; a plan by the
+    files or the stream that its controller takes. Options replace single settings.
+
+    A single flight exits with 3 if drones touch, leave limits.tracking or the arena, or hit the
+    ground in flight; if a cable is pulled with five times its planned tension; if a vertex does not
+    hold at a rest; if an object is touched, dropped or not placed within 3 cm and 5° beyond the
+    plan's tracking errors; or if the simulation leaves its valid range. With --lose it also does if
+    a survivor touches anything or no reaction is found (exports contain none), and with --cut if
+    anything but the falling cable is touched. A campaign (--runs) exits with 0 and reports the
+    success rate. Vertex errors are distances in space, sag included.
     """
     from hitchopt.lab.simulation.commands import flown_gains
     from hitchopt.lab.simulation.control import read_calibrated
