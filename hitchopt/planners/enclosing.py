@@ -12,7 +12,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up
+from hitchopt.drones.quadrotor import GRAVITY
+from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_down, rounded_up
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.motion.motion import Motion, Phase, PhaseHold
 from hitchopt.objects import SolidObject
@@ -69,6 +70,23 @@ def object_of(task: StepTask, name: str) -> SolidObject:
         at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held alone"
         raise RequestError(f"objects.{other}.at", at, bound, f"carry objects.{other} away first")
     return body
+
+
+def require_lift(task: StepTask, name: str) -> None:
+    """Raise InfeasibleError for an object that all drones cannot lift at full thrust.
+
+    It says at once what no search of holds can change.
+    """
+    team = task.before.team
+    mass = task.requirements.objects[name].mass
+    largest = float(np.sum(team.max_thrust)) / GRAVITY - float(np.sum(team.mass))
+    if mass > largest:
+        when = f"in step {task.index}"
+        spare = f"at full thrust these drones lift {rounded_down(largest, 3):g} kg"
+        remedy = f"lower objects.{name}.mass, or use stronger drones or more robots: {spare}"
+        raise InfeasibleError(
+            [Violation("load", mass, largest, "max", "kg", (name,), when, remedy)]
+        )
 
 
 def _in_one_phase(

@@ -26,6 +26,7 @@ from hitchopt.planners.enclosing import (
     leaving_plan,
     loosening_plan,
     object_of,
+    require_lift,
     resting_plan,
 )
 from hitchopt.planners.routes import OBSTACLE_CHECKS
@@ -35,7 +36,7 @@ from hitchopt.steps.knob import Knob, checks_relaxed_by
 from hitchopt.steps.step import Stage, Step
 from hitchopt.steps.straddling import Tie, Untie
 from hitchopt.values import Array, Points
-from hitchopt.values.fields import Key, documented, points, words
+from hitchopt.values.fields import Key, documented, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
 
 __all__ = [  # noqa: RUF022, in the order of the keys of problem files
@@ -134,6 +135,7 @@ class Grasp(TensionStep):
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how clasps close below the object's rim, or edges close around the object."""
         grasping_plan = gripping_plan if self.by == "grip" else resting_plan
+        require_lift(task, self.object)
         tension = self.tension_for(task.before.team)
         return grasping_plan(task, self.object, tension, self.prescribed_duration)
 
@@ -342,8 +344,10 @@ class TransportObject(TensionStep):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps; ``to`` must be on the surface below it."""
         body = object_of(task, self.object)
+        require_lift(task, self.object)
         flight_height = self.flight_height(body)
         to = np.asarray(self.to)
+        self._check_goal(task, np.append(to[:2], flight_height))
         waypoints = [] if self.via is None else list(np.asarray(self.via))
         carrying: list[Step] = [
             Lift(flight_height - float(body.at[2])),
@@ -361,10 +365,17 @@ class TransportObject(TensionStep):
             around = enclosing_planners(task, self.object)
             holds = [partial(plan_in_sequence, [enclose, grasp.plan]) for enclose in around]
             taking = partial(first_orientation, holds)
-        plan = plan_in_sequence([taking, *(step.plan for step in carrying), *leaving], task)
-        height = float(plan.after.with_objects(task.requirements).objects[self.object].at[2])
+        return plan_in_sequence([taking, *(step.plan for step in carrying), *leaving], task)
+
+    def _check_goal(self, task: StepTask, above: Array) -> None:
+        """Raise RequestError unless ``to`` is on what is below a place (3,) [m] of the base."""
+        name, requirements = self.object, task.requirements
+        objects = requirements.objects
+        flown = objects[name].moved_to(np.append(above, objects[name].yaw + self.yaw))
+        standing = with_fields(requirements, objects={**objects, name: flown})
+        height = float(goal_of(SetDown(name), standing, name)[2])
+        to = np.asarray(self.to)
         if abs(height - to[2]) > CONTACT_GAP:
             key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"
             remedy = f"write {[*to[:2].tolist(), round(height, 9)]}"
             raise RequestError(key, to.tolist(), f"{bound}, at {height:.6g} m", remedy)
-        return plan

@@ -128,6 +128,25 @@ def test_infeasible_holds_are_refused(problem: dict[str, Any], name: str, words:
     assert name in told
 
 
+IN_THE_AIR = plans.tray()
+IN_THE_AIR["mission"][0]["transport_object"]["to"] = [0.5, -1.5, 0.6]
+
+
+@pytest.mark.parametrize(
+    ("problem", "words"),
+    [
+        (
+            plans.tray(mass=5.0),
+            r"load: 5 kg is above .* these drones lift 0\.798 kg",
+        ),
+        (IN_THE_AIR, r"to = \[0\.5, -1\.5, 0\.6\]: must be on what is below it, at 0 m; write"),
+    ],
+)
+def test_what_no_hold_can_change_is_refused_at_once(problem: dict[str, Any], words: str) -> None:
+    with pytest.raises(ho.HitchoptError, match=words):
+        solved(problem)
+
+
 @pytest.mark.slow
 def test_holds_with_a_reserve_are_preferred_and_carried_without_slowing() -> None:
     """Other holds of this tray keep drones just apart at rest: slowed down, they take 230 s."""
