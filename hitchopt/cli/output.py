@@ -206,7 +206,7 @@ def phase_table(phases: Sequence[Phase]) -> str:
 def span_text(values: Iterable[Any], digits: str = ".3f") -> str:
     """Return the range of some values, as one number if they are equal."""
     numbers = [float(value) for value in values]
-    low, high = (f"{value + 0.0:{digits}}" for value in (min(numbers), max(numbers)))
+    low, high = (f"{value:z{digits}}" for value in (min(numbers), max(numbers)))  # no -0.0
     return low if low == high else f"{low} to {high}"
 
 

@@ -60,7 +60,8 @@ LINE_HEIGHT = 11.0  # Height of a line of text [points]
 # Maximum worst value that is drawn: larger ones mean that nothing was counted or bounded
 MAX_DRAWN = 1e9
 CHARACTER_WIDTH = 4.3  # Width of a character of a phase's name [points]
-SLANTED_WIDTH = 13.5  # Width of a line of text at 45° [points]
+SLANTED_WIDTH = 13.5  # Width of a line of text at 30° or 45° [points]
+STEEP_WIDTH = 11.0  # The same at 60°
 DIGITS = " 0123456789"  # Characters of a number that ends a phase's name
 MAX_CHARACTERS = 18  # Maximum number of characters of a slanted line
 CLOSE_SIZE = (10.0, 4.8)  # Width and height of the figure of the closest neighbours [inch]
@@ -298,18 +299,22 @@ def plot_from_above(flight: Flight, axes: Axes | None) -> Axes:
     return axes
 
 
-def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
+def draw_phases(
+    axes: Sequence[Axes], phases: Sequence[Phase], end: float, start: float = 0.0
+) -> None:
     """Shade every other phase on all axes, and write their names above the first.
 
     Phases of a step such as ``swap 1`` and ``swap 2`` are named together. Names of short phases are
     slanted, and moved apart where they would overlap; if they do not fit, those of the longest
-    phases are written. Long lines are cut at the start. Nothing is drawn after ``duration`` [s],
-    where the axes end.
+    phases are written. Long lines are cut at the start. Nothing is drawn before ``start`` and after
+    ``end`` [s], between which the axes are.
     """
     figure: Any = axes[0].figure
-    flown = [phase for phase in phases if phase.start < duration]
-    phases = [phase.retimed(phase.start, min(phase.end, duration)) for phase in flown]
-    per_point = duration / (72.0 * figure.get_size_inches()[0] * axes[0].get_position().width)
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.execute(figure)  # sets the width of the axes, which places of names depend on
+    flown = [phase for phase in phases if phase.start < end and phase.end > start]
+    phases = [phase.retimed(max(phase.start, start), min(phase.end, end)) for phase in flown]
+    per_point = (end - start) / (72.0 * figure.get_size_inches()[0] * axes[0].get_position().width)
     character = CHARACTER_WIDTH * per_point
     named = _named_together(phases)
     level = all(p.end - p.start > character * (len(p.name) + 1) for p in named)
@@ -325,8 +330,11 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
             write(axes[0], phase.name, (middle, 1.0), (0, 4), **look)
         return
     angle = 30 if any(", " in phase.name for phase in named) else 45
+    placed = _placed_names(named, start, end, SLANTED_WIDTH * per_point)
+    if len(placed) < len(named) and angle == 45:
+        angle, placed = 60, _placed_names(named, start, end, STEEP_WIDTH * per_point)
     look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
-    for phase, place, lines in _placed_names(named, duration, SLANTED_WIDTH * per_point):
+    for phase, place, lines in placed:
         middle = 0.5 * (phase.start + phase.end)
         stem = axes[0].get_xaxis_transform()
         axes[0].plot(
@@ -345,7 +353,7 @@ def _named_together(phases: Sequence[Phase]) -> list[Phase]:
 
 
 def _placed_names(
-    phases: Sequence[Phase], duration: float, line_width: float
+    phases: Sequence[Phase], start: float, end: float, line_width: float
 ) -> list[tuple[Phase, float, list[str]]]:
     """Return phases with the places of their names on the axis [s], and the names' lines.
 
@@ -357,13 +365,13 @@ def _placed_names(
         ordered = sorted(chosen, key=lambda phase: phase.start)
         lines = [_lines(phase.name) for phase in ordered]
         widths = line_width * np.array([len(each) for each in lines])
-        if len(chosen) == 1 or np.sum(widths[:-1]) <= duration:
+        if len(chosen) == 1 or np.sum(widths[:-1]) <= end - start:
             break
         chosen.pop()
     before = np.cumsum([0.0, *widths[:-1]])
     middles = np.array([0.5 * (phase.start + phase.end) for phase in ordered])
     apart = isotonic_regression(middles - before).x
-    places = np.clip(apart, 0.0, duration - before[-1]) + before
+    places = np.clip(apart, start, end - before[-1]) + before
     return [*zip(ordered, places.tolist(), lines, strict=True)]
 
 

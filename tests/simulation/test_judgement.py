@@ -58,7 +58,7 @@ def flight_with(
     In the pull test the second vertex slips along a leg by ``moved``, and the hitch drifts. The
     vertex swings by ``swing`` to either side.
     """
-    t = np.arange(0.0, known.pop("end", 5.0) + 0.005, 0.01)
+    t = np.arange(known.pop("begin", 0.0), known.pop("end", 5.0) + 0.005, 0.01)
     vertices = np.repeat(HITCH.vertices[None], len(t), axis=0)
     vertices[t > 3.005, 1] += moved * unit(HITCH.vertices[1] - HITCH.drones[2])
     vertices[:, 1, 1] += swing * np.sin(1.5 * np.pi * t)  # farthest at 3 and at 5 s
@@ -198,6 +198,9 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
     brief = flight_with(None, end=0.0)  # no frames
     assert flight_scene(brief, ho.Flight.of(motion)) is None
     assert len(drawn_flight(brief, ho.Flight.of(motion)).axes) == 3
+    part = drawn_flight(flight_with(begin=1.0), ho.Flight.of(motion))  # not what was not flown
+    assert part.axes[0].get_title() == "start, 1.0 s"
+    assert part.axes[-1].get_xlim()[0] == pytest.approx(1.0)
 
 
 def test_a_short_peak_of_the_tension_does_not_flatten_all_others() -> None:

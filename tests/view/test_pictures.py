@@ -320,6 +320,15 @@ def test_names_of_many_short_phases_are_all_written_apart() -> None:
     assert 0.0 <= min(places) <= max(places) <= 3.1
 
 
+def test_names_that_do_not_fit_are_steeper_before_any_is_omitted() -> None:
+    phases = [Phase(f"phase {name}", i, float(i), i + 1.0) for i, name in enumerate("abcdefghijkl")]
+    axes = new_figure((2.6, 2.0)).add_subplot()
+    draw_phases([axes], phases, 12.0)
+    texts = [text for text in axes.texts if isinstance(text, Annotation)]
+    assert [text.get_text() for text in texts] == [phase.name for phase in phases]
+    assert {text.get_rotation() for text in texts} == {60.0}
+
+
 def test_phases_that_differ_by_a_number_are_named_together() -> None:
     names = ["approach", "turn", "turn", "turn", "swap 1", "swap 2", "land"]
     phases = [Phase(name, 0, float(i), i + 1.0) for i, name in enumerate(names)]

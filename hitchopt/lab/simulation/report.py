@@ -387,8 +387,11 @@ def drawn_flight(
         parts = figure.add_gridspec(2, 1, height_ratios=heights)
     scene = flight_scene(simulation, plan)
     if scene is not None:  # shots of the plan up to the end, and the end
-        end = float(scene.t[-1])
-        shots = [shot for shot in shots_in_motion(plan) if shot.time <= end + SHOT_TOLERANCE]
+        start, end = float(max(scene.t[0], 0.0)), float(scene.t[-1])
+        first, last = start - SHOT_TOLERANCE, end + SHOT_TOLERANCE
+        shots = [shot for shot in shots_in_motion(plan) if first <= shot.time <= last]
+        if start > SHOT_TOLERANCE:  # only a part of the plan is simulated
+            shots = [Shot("start", start), *shots]
         if np.isfinite(simulation.flight.pulled):
             words = "pull test" if simulation.flight.task.states.formed[-1] else "at rest"
             shots = [*shots[: MAX_PANELS - 1], Shot(words, end, essential=True)]
@@ -422,7 +425,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
     """Draw errors of vertices, tensions and errors of drones."""
     flight, errors = simulation.flight, simulation.errors
     record, task = flight.record, flight.task
-    team, end = task.team, float(record.t[-1]) or 1.0
+    team, start, end = task.team, float(max(record.t[0], 0.0)), float(record.t[-1]) or 1.0
     looks = style.team_colours(plan)[: len(plan.teams)]
     colours = [colour for _, cables in looks for colour in cables]
     top, middle, bottom = plots
@@ -449,12 +452,12 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
     drawn = 100.0 * errors.errors, record.tensions, tracking
     for axes, words, values in zip(plots, titles, drawn, strict=True):
         axes.set_ylabel(words)
-        axes.set_xlim(0.0, end)
+        axes.set_xlim(start, end)
         style.from_zero(axes, 0.3 if axes.get_legend() else 0.1, values)
         axes.tick_params(labelbottom=axes is bottom)
         if end > task.duration:
             axes.axvspan(task.duration, end, facecolor="none", edgecolor="0.8", hatch="////", lw=0)
-    draw_phases(plots, plan.phases, end)
+    draw_phases(plots, plan.phases, end, start)
     bottom.set_xlabel("t [s]; hatched: rest and pull test")
     # A fixed number of ticks: with more of them after the layout, the last label would be clipped.
     bottom.locator_params("x", nbins=7, steps=[1, 2, 5, 10])
@@ -476,7 +479,7 @@ def ending(simulation: Simulation) -> str:
         return "no two survivors touch" if loss.collision_free else "survivors TOUCH each other"
     if flight.linking is None:
         with_clasps = flight.settings.cables == CLASPS and flight.error is None
-        return "simulated while hitched" if with_clasps else "not simulated to its end"
+        return "only the tied hitch was flown" if with_clasps else "not simulated to its end"
     ends, parts = [part.states.formed[-1] for part in flight.task.teams], list[str]()
     failures = simulation.outcome.failures
     at_end = {each.kind for each in failures if each.time >= flight.task.duration}
