@@ -20,6 +20,7 @@ NEXT = np.array([1, 2, 0])  # Axis after each axis
 LAST = np.array([2, 0, 1])  # Axis before each axis
 LOWER = 3 * LAST + NEXT  # Entries of flat 3x3 matrices
 UPPER = 3 * NEXT + LAST  # Their mirror images
+SKEW = np.eye(9)[LOWER] - np.eye(9)[UPPER]  # Flat skew matrices of the three axes
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -47,8 +48,7 @@ def cross_product(a: Array, b: Array) -> Array:
 
 def skew_matrix(a: Array) -> Array:
     """Return the matrices (…, 3, 3) of cross products with vectors (…, 3)."""
-    flat = np.zeros((*a.shape[:-1], 9))
-    flat[..., LOWER], flat[..., UPPER] = a, -a
+    flat: Array = a @ SKEW
     return flat.reshape(*a.shape, 3)
 
 

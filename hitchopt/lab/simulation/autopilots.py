@@ -16,6 +16,7 @@ drones are assumed to be scaled with inertia. Motors lag individually.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -126,7 +127,7 @@ class Autopilots:
             excess = np.maximum.reduce(goals, axis=1, keepdims=True) - limit
             goals -= np.maximum(excess, 0.0)
         goals = np.minimum(np.maximum(goals, 0.0), limit)
-        decay = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
+        decay = math.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
         self._motors = goals + (self._motors - goals) * decay
 
     def _set_goals(

@@ -13,6 +13,7 @@ delay) and motors (first order, 20 ms).
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -190,7 +191,7 @@ class Streams:
     def standard_normal(self, shape: int | tuple[int, ...]) -> Array:
         """Return numbers of a shape whose first axis has the rows of all flights."""
         flights = len(self._generators)
-        count = int(np.prod(shape)) // flights
+        count = (shape if isinstance(shape, int) else math.prod(shape)) // flights
         if self._used + count > self._drawn.shape[1]:
             block = max(count, self.BLOCK)
             new = [generator.standard_normal(block) for generator in self._generators]
@@ -221,8 +222,8 @@ class Drift:
         """Return the value ``seconds`` later."""
         if not self._spread:
             return self.value
-        decay = np.exp(-seconds / self._correlation_time)
-        new = self._spread * np.sqrt(1.0 - decay**2)
+        decay = math.exp(-seconds / self._correlation_time)
+        new = self._spread * math.sqrt(1.0 - decay**2)
         self.value = decay * self.value + new * self._random.standard_normal(self.value.shape)
         return self.value
 
@@ -312,15 +313,16 @@ def downwash(drones: Array, thrusts: Array) -> Array:
     section 5.1). A drone receives ``BLOCKED`` times the momentum through its disk. Drones are at
     (…, 2n, 3) [m], with thrusts (…, 2n) [N].
     """
-    offset = drones[..., :, None, :] - drones[..., None, :, :]  # [below, above]
-    depth = -offset[..., 2]
-    below = depth > BODY_HALF_HEIGHT
-    half_width = 0.5 * BODY_RADIUS + SPREADING * np.where(below, depth, 0.0)
-    spread = half_width**2 / (4.0 * np.log(2.0))  # of the momentum, the square of the speed
-    level_squares = offset[..., 0] ** 2 + offset[..., 1] ** 2
-    share = 0.5 * BODY_RADIUS**2 / spread * np.exp(-0.5 * level_squares / spread)
-    push = np.where(below, BLOCKED * np.minimum(share, 1.0) * thrusts[..., None, :], 0.0)
-    return np.asarray(-np.sum(push, axis=-1)[..., None] * UP)
+    offset = drones[..., None, :, :] - drones[..., :, None, :]  # [below, above]
+    x, y, depth = offset[..., 0], offset[..., 1], offset[..., 2]
+    half_width = 0.5 * BODY_RADIUS + SPREADING * np.maximum(depth, 0.0)
+    # Over the variance of the momentum, the square of the speed
+    half = 2.0 * math.log(2.0) / (half_width * half_width)
+    share = BODY_RADIUS**2 * half * np.exp(-half * (x * x + y * y))
+    push = np.minimum(share, 1.0) * (depth > BODY_HALF_HEIGHT)
+    forces = np.zeros_like(drones)
+    forces[..., 2] = -BLOCKED * np.add.reduce(push * thrusts[..., None, :], axis=-1)
+    return forces
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from hitchopt.geometry.vectors import axial_vector, cross_product, dot, length, 
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.simulation.control import Streams
 from hitchopt.lab.simulation.world import RigidBodies
+from hitchopt.motion.states import HOVER
 from hitchopt.values import Array
 
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
@@ -77,8 +78,12 @@ def frame_age(latency: float) -> float:
 
 
 def rotation(turn: Array) -> Array:
-    """Return the matrices (…, 3, 3) of rotations by vectors (…, 3) [rad]."""
-    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
+    """Return the matrices (…, 3, 3) of rotations by vectors (…, 3) [rad], by Rodrigues' formula."""
+    half = length(turn) / (2.0 * np.pi)
+    sine, cosine = np.sinc(2.0 * half), 0.5 * np.sinc(half) ** 2  # sin θ / θ, (1 - cos θ) / θ²
+    by_turn = skew_matrix(turn)
+    cubed = cosine[..., None, None] * (by_turn @ by_turn)
+    return np.asarray(EYE + sine[..., None, None] * by_turn + cubed)
 
 
 def rotation_vector(matrices: Array) -> Array:
@@ -227,7 +232,7 @@ class Estimator(Filter):
         self._passed.append(bodies)
         shift = noise.gyroscope * random.standard_normal(bodies.rates.shape)
         rates = self._gyroscope.apply(bodies.rates + shift)
-        gained = READINGS * (bodies.velocities - previous.velocities) + [0.0, 0.0, GRAVITY]
+        gained = READINGS * (bodies.velocities - previous.velocities) + HOVER
         thrust_axis = 0.5 * (bodies.attitudes + previous.attitudes)[..., 2]
         forces = np.einsum("ia,ia->i", gained, thrust_axis)
         forces += noise.accelerometer * random.standard_normal(len(forces))
