@@ -30,7 +30,7 @@ import math
 
 import numpy as np
 
-from hitchopt.geometry.vectors import cross_product, dot, length, skew_matrix, unit
+from hitchopt.geometry.vectors import cross_product, length, skew_matrix, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.world import RigidBodies, inertia_of
@@ -44,12 +44,6 @@ CROSSING = math.radians(60.0)
 
 It is fitted, not derived: after three morphs of a triangle at μ = 0.1, vertices rest within 0.8 cm
 of those of ropes with links of 10 mm. With 45° and 75° they are up to 0.7 and 1.1 cm off."""
-
-PARTS = 0.5 * np.array([[1.0, 1.0], [1.0, -1.0]])
-"""Common and opposite part of x and y, from these; twice it is its inverse."""
-
-EIGENVALUES = 1.0 + math.cos(CROSSING) * np.array([[1.0], [-1.0]])
-"""Eigenvalues of G, for both parts."""
 
 MAX_STEP = 0.001
 """[s] Longest time step of the cables. Steps of 2 ms excite the drones on their elastic cables."""
@@ -72,50 +66,74 @@ TINY = 1e-4
 MIN_LEG = 0.02
 """[m] Unstretched length below which a segment's stiffness no longer grows."""
 
-UPWARD = np.array([[1.0], [-1.0]])
-"""Signs of rises toward the clasp, along legs of the cables ahead of and behind it."""
-
-SWEEPS = 4
-"""Iterations of the ratios of tensions at the clasps. For given ratios slips are exact: otherwise
-they excite cables without friction, most of all at short edges."""
+SWEEPS = 2
+"""Iterations of the ratios of tensions at the clasps: vertices are within 0.05 mm of those with
+many more, or within 1 cm at edges of 0.1 m. Slips at both ends of an edge are solved for together,
+since otherwise they excite short edges."""
 
 
 class Network:
-    """Which nodes the segments join, and at which clasps: nodes are the points, then the drones.
+    """Which nodes the segments join, and where cables bend: nodes are the points, then the drones.
+
+    Every edge has two ends, at clasps or, without a leg, at the ends of a chain: 2n ends, first the
+    starts of all edges, then their ends.
 
     Attributes
     ----------
     routes: nodes along each cable (n, 4), from q to r. The end of a chain is its drone.
-    cables: cable of each segment (segments,).
-    differences: matrix (segments, nodes) from positions to the segments' vectors.
+    cables: cable of each segment (segments,), in order; ``firsts`` (n,) are their first segments.
+    differences: matrix (nodes, segments) from positions to the segments' vectors.
+    on_nodes: matrix (segments, nodes) from pulls of segments to forces on their nodes.
     halves: halves of each segment at its two nodes (segments, nodes).
-    legs, edges: segments at each clasp (2, clasps), of the cable whose edge starts there, and of
-        the one whose edge ends there.
-    other_ends: matrix (2 · clasps, 2 · clasps) from slips to those at the other ends of the edges.
-    lengthening: matrix (2 · clasps, segments) from slips to changes of unstretched lengths.
+    legs, edges: segments at the ends (2n,); without a leg both are the edge.
+    at_clasps: ends of the cables ahead of and behind each clasp (2, clasps).
+    upward: 1 at starts of edges, where cables come from their legs, and -1 at their ends (2n,).
+    fixed: whether an end is that of a chain, through which nothing slides (2n,).
+    others: matrix (2n, 2n) from values at ends to those at the edges' other ends.
+    lengthening: matrix (2n, segments) from slips to changes of unstretched lengths.
+    parts: matrix (2n, 2 · clasps) from x and y of the clasps to their common and their opposite
+        parts, over the half-axes of the ellipse.
+    joined: its inverse (2 · clasps, 2n), with zeros at the ends of chains.
+    averages: matrix (2 · clasps, 2n) from values of the parts to their averages, at the ends.
+    sums, pairs: matrices from values of the parts (2 · clasps, 2 · clasps), or of the ends (2n,
+        2n), to the sums of both at their clasp.
+    eigenvalues: of G, for these parts (2 · clasps,).
     """
 
     def __init__(self, layout: Layout) -> None:
-        count = layout.points + 2 * layout.robots
+        count, robots = layout.points + 2 * layout.robots, layout.robots
         self.cables, kinds = np.divmod(layout.parts, 3)
+        self.firsts = np.searchsorted(self.cables, np.arange(robots))
         self.routes = layout.routes.copy()
         for point, drone in ((1, 0), (2, 3)):
             alone = ~layout.has_leg[:, drone // 3]
             self.routes[alone, point] = self.routes[alone, drone]
         starts, ends = self.routes[self.cables, kinds], self.routes[self.cables, kinds + 1]
         nodes = np.eye(count)
-        self.differences: Array = nodes[ends] - nodes[starts]
-        self.halves: Array = 0.5 * np.abs(self.differences)
-        segments = np.zeros((layout.robots, 3), dtype=np.intp)
+        between: Array = nodes[ends] - nodes[starts]
+        self.differences = between.T.copy()
+        self.on_nodes = -between
+        self.halves: Array = 0.5 * np.abs(between)
+        segments = np.zeros((robots, 3), dtype=np.intp)
         segments[self.cables, kinds] = np.arange(len(kinds))
-        ahead, behind = layout.ahead, layout.behind
-        self.legs = np.stack([segments[ahead, 0], segments[behind, 2]])
-        self.edges = np.stack([segments[ahead, 1], segments[behind, 1]])
-        edges = self.edges.ravel()
-        is_other = (edges[:, None] == edges) & ~np.eye(len(edges), dtype=np.bool_)
-        self.other_ends: Array = is_other.astype(np.float64)
+        self.edges = np.tile(segments[:, 1], 2)
+        self.fixed = ~layout.has_leg.T.ravel()
+        self.legs = np.where(self.fixed, self.edges, segments[:, [0, 2]].T.ravel())
+        self.upward = np.repeat([1.0, -1.0], robots)
+        self.others: Array = np.roll(np.eye(2 * robots), robots, axis=0)
         each = np.eye(len(kinds))
-        self.lengthening: Array = each[self.legs.ravel()] - each[edges]
+        self.lengthening: Array = each[self.legs] - each[self.edges]
+        self.at_clasps = np.stack([layout.ahead, robots + layout.behind])
+        ahead, behind = np.eye(2 * robots)[self.at_clasps]
+        common, opposite = 1.0 + math.cos(CROSSING), 1.0 - math.cos(CROSSING)
+        self.eigenvalues = np.repeat([common, opposite], len(ahead))
+        sizes: Array = np.sqrt(2.0 * self.eigenvalues[:, None]) / math.sin(CROSSING)
+        directions: Array = np.concatenate([ahead + behind, ahead - behind])
+        self.parts: Array = (0.5 * sizes * directions).T.copy()
+        self.joined: Array = directions / sizes
+        self.averages: Array = 0.5 * np.abs(directions)
+        self.sums: Array = np.tile(np.eye(len(ahead)), (2, 2))
+        self.pairs: Array = (ahead + behind).T @ (ahead + behind)
 
     def shares(self, chords: Array) -> Array:
         """Return the shares (segments,) of segments in the chords [m] of their cables."""
@@ -130,12 +148,15 @@ class ClaspWorld:
     have the state ``bodies`` (2n, …) in all flights. Cables of the unstretched ``lengths``
     (flights, n) [m] and of a ``density`` [kg/m] are divided like the hitch's chords.
 
+    Vectors of nodes and segments are (3 · flights, …), so that one product of matrices gives all
+    segments. Products are written ``a.dot(b)``, and constants have the shape of what they multiply:
+    for small arrays both take a third of the time.
+
     Attributes
     ----------
     masses, inertia: of the drones of all flights (flights · 2n,) [kg], (flights · 2n, 3) [kg m²].
     friction: coefficient at the clasps.
     tensions: at the middles of the segments (flights, segments) [N].
-    slid: length that slid through clasps (flights, 2, clasps) [m], of both cables.
     """
 
     def __init__(
@@ -153,85 +174,94 @@ class ClaspWorld:
         self.inertia = inertia_of(self.masses)
         self._flights, self._points, self._clasps = flights, layout.points, layout.clasps
         self._weight = GRAVITY * density  # per length [N/m]
-        positions = np.concatenate([vertices, bodies.positions])
-        velocities = np.concatenate([np.zeros_like(vertices), bodies.velocities])
-        self._positions = np.tile(positions, (flights, 1, 1))
-        self._velocities = np.tile(velocities, (flights, 1, 1))
+        nodes = np.concatenate([vertices, bodies.positions]).T
+        speeds = np.concatenate([np.zeros_like(vertices), bodies.velocities]).T
+        self._positions = np.repeat(nodes, flights, axis=0)
+        self._velocities = np.repeat(speeds, flights, axis=0)
         self._attitudes = np.tile(bodies.attitudes, (flights, 1, 1))
         self._rates = np.tile(bodies.rates, (flights, 1))
         self._network = network = Network(layout)
-        chords = length(network.differences @ positions)
+        chords = length((nodes @ network.differences).T)
         self._unstretched = network.shares(chords) * lengths[:, network.cables]
         self._slack = self._weight / (8.0 * SLACK_SAG) * float(np.max(chords)) + TINY
         taut = np.maximum(tension[network.cables], self._slack)
         self.tensions = np.tile(taut, (flights, 1))
-        self._slips = np.zeros((flights, *network.legs.shape))  # to the legs, in the last step [m]
-        self._last_slips = self._slips
-        self._multiplier = np.zeros((flights, 1, len(layout.clasps)))  # λ in the last step
-        self.slid = np.zeros_like(self._slips)
+        # From edges to legs, in the last steps (flights, 2n) [m]
+        self._slips = self._last_slips = np.zeros((flights, len(network.legs)))
+        self._eigenvalues = np.tile(network.eigenvalues, (flights, 1))
+        self._multiplier = np.zeros_like(self._eigenvalues)  # λ in the last step, for both parts
+        self._shrinking = np.ones_like(self._eigenvalues)  # by it
+        self._rigid = np.tile(np.where(network.fixed, np.inf, 0.0), (flights, 1))
+        self._rise = np.tile(0.5 * self._weight * network.upward, (flights, 1))
         load = np.concatenate([np.zeros(layout.points), team.mass])
         load[layout.clasps] = team.load
         carried = density * (network.shares(chords) * team.cable_length[network.cables])
         masses = load + carried @ network.halves
         masses[layout.points :] = team.mass
-        masses = np.maximum(masses, MIN_MASS)[:, None]
-        self._per_mass = 1.0 / masses
-        self._decay = AIR_DECAY * masses
-        self._decay[layout.points :] = 0.0
-        self._gravity = np.zeros_like(positions)
-        self._gravity[:, 2] = -GRAVITY * load
-        self._constant = np.tile(self._gravity, (flights, 1, 1))  # forces during a step [N]
+        axes = 3 * flights
+        self._per_mass = np.tile(1.0 / np.maximum(masses, MIN_MASS), (axes, 1))
+        decay = np.where(np.arange(len(masses)) < layout.points, AIR_DECAY, 0.0)
+        self._decay = np.tile(decay, (axes, 1))
+        self._gravity = np.zeros_like(self._positions)
+        self._gravity[-flights:] = -GRAVITY * load
         self._thrusts = np.zeros(len(self.masses))
         self._moments = self._forces = np.zeros_like(self._rates)
 
     @property
     def drones(self) -> Array:
         """Positions of the drones (flights · 2n, 3) [m]."""
-        return self._positions[:, self._points :].reshape(-1, 3)
+        return self._of_nodes(self._positions)[:, :, self._points :].reshape(3, -1).T
 
     @property
     def vertices(self) -> Array:
         """Positions of the clasps (flights, clasps, 3) [m]."""
-        return self._positions[:, self._clasps]
+        return np.moveaxis(self._of_nodes(self._positions)[:, :, self._clasps], 0, -1)
 
     @property
     def bodies(self) -> RigidBodies:
         """State of the drones of all flights (flights · 2n, …)."""
-        velocities = self._velocities[:, self._points :].reshape(-1, 3)
+        velocities = self._of_nodes(self._velocities)[:, :, self._points :].reshape(3, -1).T
         return RigidBodies(self.drones, velocities, self._attitudes, self._rates)
 
     @property
     def nodes(self) -> Array:
         """Nodes of the cables (flights, n, 4, 3) [m], from q to r."""
-        return self._positions[:, self._network.routes]
+        return np.moveaxis(self._of_nodes(self._positions)[:, :, self._network.routes], 0, -1)
+
+    def _of_nodes(self, vectors: Array) -> Array:
+        """Return vectors of nodes as (3, flights, nodes)."""
+        return vectors.reshape(3, self._flights, -1)
 
     @property
     def mean_tensions(self) -> Array:
         """Tensions of cables (flights, n) [N], averaged over their lengths."""
-        cables = np.eye(len(self._network.routes))[self._network.cables]
-        lengths = np.maximum(self._unstretched, 0.0)
-        mean = (lengths * np.maximum(self.tensions, 0.0)) @ cables / (lengths @ cables)
-        return np.asarray(mean)
+        firsts, lengths = self._network.firsts, self._unstretched
+        sums = np.add.reduceat(lengths * np.maximum(self.tensions, 0.0), firsts, axis=1)
+        return np.asarray(sums / np.add.reduceat(lengths, firsts, axis=1))
 
     @property
     def largest_tensions(self) -> Array:
         """Largest tensions of cables (flights, n) [N]."""
-        of_cable = self._network.cables == np.arange(len(self._network.routes))[:, None]
-        return np.asarray(np.max(np.where(of_cable, self.tensions[:, None], 0.0), axis=-1))
+        largest = np.maximum.reduceat(self.tensions, self._network.firsts, axis=1)
+        return np.asarray(np.maximum(largest, 0.0))
 
     @property
     def bearing(self) -> Array:
         """Contact forces of the clasps (flights, clasps) [N]: pulls of leg and edge ahead."""
-        vectors = self._network.differences @ self._positions
+        vectors = self._positions @ self._network.differences
+        vectors = np.moveaxis(self._of_nodes(vectors), 0, -1)
         pulls = np.maximum(self.tensions, 0.0)[..., None] * unit(vectors)
-        return length(pulls[:, self._network.edges[0]] - pulls[:, self._network.legs[0]])
+        ends = self._network.at_clasps[0]
+        legs, edges = self._network.legs[ends], self._network.edges[ends]
+        return length(pulls[:, edges] - pulls[:, legs])
 
     @property
     def shortest_leg(self) -> tuple[float, int]:
         """Unstretched length [m] and clasp of the shortest leg of all flights."""
-        legs = np.min(self._unstretched[:, self._network.legs], axis=(0, 1), initial=np.inf)
-        clasp = int(np.argmin(legs))
-        return float(legs[clasp]), clasp
+        legs = self._network.legs[self._network.at_clasps]
+        lengths = np.minimum.reduce(self._unstretched[:, legs], axis=(0, 1))
+        clasp = int(np.argmin(lengths))
+        return float(lengths[clasp]), clasp
 
     def push(self, thrusts: Array, moments: Array, forces: Array) -> None:
         """Apply thrusts (…,) and moments about the bodies' axes, and forces (…, 3) [N]."""
@@ -241,13 +271,15 @@ class ClaspWorld:
         """Advance by some time, with the thrusts' directions at its middle."""
         self._turn(0.5 * seconds)
         applied = self._forces + self._thrusts[:, None] * self._attitudes[:, :, 2]
-        self._constant = np.tile(self._gravity, (self._flights, 1, 1))
-        self._constant[:, self._points :] += applied.reshape(self._flights, -1, 3)
+        constant = self._gravity.copy()  # forces during the step [N]
+        of_drones = self._of_nodes(constant)[:, :, self._points :]
+        of_drones += applied.T.reshape(3, self._flights, -1)
         count = max(1, math.ceil(seconds / MAX_STEP - 1e-9))
         dt = seconds / count
+        keep, per_force = 1.0 - dt * self._decay, dt * self._per_mass
         for _ in range(count):
-            force = self._constant - self._decay * self._velocities + self._cable_forces(dt)
-            self._velocities = self._velocities + dt * self._per_mass * force
+            force = constant + self._cable_forces(dt)
+            self._velocities = keep * self._velocities + per_force * force
             self._positions = self._positions + dt * self._velocities
         self._turn(0.5 * seconds)
 
@@ -263,80 +295,97 @@ class ClaspWorld:
 
     def _cable_forces(self, dt: float) -> Array:
         """Advance tensions by one time step [s]; return the cables' forces on nodes [N]."""
-        before, weight = self.tensions, self._weight
-        vectors = self._network.differences @ self._positions
-        squares = vectors * vectors
-        level = squares[..., 0] + squares[..., 1]
-        chords = np.sqrt(level + squares[..., 2])
+        network, lengths, before = self._network, self._unstretched, self.tensions
+        vectors = self._positions.dot(network.differences)
+        level, chords, rises = self._sizes(vectors)
         tension = np.maximum(before, self._slack)
-        steepness = weight**2 / 24.0 / (tension * tension)
-        sags = steepness * level
-        arcs = chords * (1.0 + sags)
-        lengths = self._unstretched
-        compliance = np.maximum(lengths, MIN_LEG) / AXIAL_STIFFNESS + 2.0 * chords * sags / tension
-        extensions = arcs - lengths * (1.0 + before / AXIAL_STIFFNESS)
-        trial = np.maximum(before + extensions / compliance, -self._slack)
-        slips = self._returned(vectors, chords, trial, 1.0 / compliance)
-        change = slips.reshape(self._flights, -1) @ self._network.lengthening
-        self.tensions = tension = trial - change / compliance
+        bends = self._weight**2 / 24.0 / (tension * tension)
+        sags = bends * level
+        added = chords * sags
+        arcs = chords + added
+        stretch = np.maximum(lengths, MIN_LEG) / AXIAL_STIFFNESS
+        stiffness = 1.0 / (stretch + 2.0 * (added / tension))
+        extensions = arcs - lengths - lengths * before / AXIAL_STIFFNESS
+        trial = np.maximum(before + extensions * stiffness, -self._slack)
+        slips = self._returned(self._wraps(vectors, chords), rises, trial, stiffness)
+        change = slips.dot(network.lengthening)
+        self.tensions = tension = trial - change * stiffness
         self._unstretched = lengths + change
         damped = tension + (DAMPING_TIME / dt) * (tension - before)
-        pulls = np.where(tension > 0.0, np.maximum(damped, 0.0), 0.0)
-        along = pulls * (1.0 - sags) / chords
-        forces = vectors * along[..., None]
-        forces[..., :2] -= vectors[..., :2] * (2.0 * steepness * pulls * chords)[..., None]
-        on_nodes = -self._network.differences.T @ forces
-        on_nodes[..., 2] -= (weight * arcs) @ self._network.halves
+        pulls = np.maximum(damped, 0.0) * (tension > 0.0)
+        along = (1.0 - sags) * pulls / chords
+        level_along = along - 2.0 * (bends * pulls * chords)
+        forces = vectors * np.concatenate([level_along, level_along, along])
+        on_nodes = forces.dot(network.on_nodes)
+        on_nodes[-self._flights :] -= (self._weight * arcs).dot(network.halves)
         return np.asarray(on_nodes)
 
-    def _returned(self, vectors: Array, chords: Array, trial: Array, stiffness: Array) -> Array:
-        """Return the slips (flights, 2, clasps) [m] from edges to legs in one time step.
+    def _sizes(self, vectors: Array) -> tuple[Array, Array, Array]:
+        """Return squared horizontal parts [m²], lengths and vertical parts [m] of segments."""
+        flights = self._flights
+        squares = vectors * vectors
+        level = squares[:flights] + squares[flights:-flights]
+        return level, np.sqrt(level + squares[-flights:]), vectors[-flights:]
 
-        ``trial`` are the tensions [N] of cables that stick, ``stiffness`` [N/m] their increase per
-        extension.
+    def _wraps(self, vectors: Array, chords: Array) -> Array:
+        """Return the angles (flights, 2n) by which cables bend at the edges' ends."""
+        legs, edges, flights = self._network.legs, self._network.edges, self._flights
+        products = vectors.take(legs, -1) * vectors.take(edges, -1)
+        sums = products[:flights] + products[flights:-flights] + products[-flights:]
+        cosines = sums / (chords.take(legs, -1) * chords.take(edges, -1))
+        return np.asarray(np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0)))
+
+    def _returned(self, wraps: Array, rises: Array, trial: Array, stiffness: Array) -> Array:
+        """Return the slips (flights, 2n) [m] from edges to legs in one time step.
+
+        Cables bend by ``wraps`` (flights, 2n) [rad]; ``rises`` are the segments' vertical parts
+        [m]. ``trial`` are the tensions [N] of cables that stick, ``stiffness`` [N/m] their increase
+        per extension.
         """
-        legs, edges = self._network.legs, self._network.edges
-        units = vectors / chords[..., None]
-        cosines = dot(units[:, legs], units[:, edges])
-        wraps = np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))
+        network = self._network
+        legs, edges, others = network.legs, network.edges, network.others
         limits = np.maximum(self.friction * wraps, TINY)
         # Tensions at the clasps' heights, from those at the middles of the segments
-        rises = (0.5 * self._weight) * vectors[..., 2]
-        leg = np.maximum(trial[:, legs] + UPWARD * rises[:, legs], TINY)
-        edge = trial[:, edges] - UPWARD * rises[:, edges]
-        leg_stiffness, edge_stiffness = stiffness[:, legs], stiffness[:, edges]
+        leg = np.maximum(trial.take(legs, -1) + self._rise * rises.take(legs, -1), TINY)
+        edge = trial.take(edges, -1) - self._rise * rises.take(edges, -1)
+        leg_stiffness = stiffness.take(legs, -1) + self._rigid
+        edge_stiffness = stiffness.take(edges, -1)
         slips = 2.0 * self._slips - self._last_slips
         for _ in range(SWEEPS):
-            now = np.maximum(edge + edge_stiffness * self._at_other_ends(slips), TINY)
-            ratio = np.exp(limits * self._nearest(np.log(leg / now) / limits))
-            stiffness = leg_stiffness + ratio * edge_stiffness
-            alone = (leg - ratio * edge) / stiffness  # if the edge's other end sticks
-            response = ratio * edge_stiffness / stiffness  # to a slip there
-            both = alone - response * self._at_other_ends(alone)
-            slips = both / (1.0 - response * self._at_other_ends(response))
+            added = edge_stiffness * slips.dot(others)
+            z = np.log(leg / np.maximum(edge + added, TINY)) / limits
+            nearest = self._nearest(z)
+            ratio = np.exp(limits * nearest)
+            # Shares to which ratios, instead of slips, follow a slip at the edge's other end: 1
+            # where cables stick, and 0 along the normal of the ellipse
+            normal = z - nearest
+            squares = normal * normal
+            across = 1.0 - squares / (squares.dot(network.pairs) + TINY**3)
+            follows = across * self._shrinking.dot(network.averages)
+            coupling = ratio * edge_stiffness
+            stiffness = leg_stiffness + coupling
+            alone = (leg - ratio * (edge + follows * added)) / stiffness
+            response = (1.0 - follows) * coupling / stiffness
+            both = alone - response * alone.dot(others)
+            slips = both / (1.0 - response * response.dot(others))
         self._last_slips, self._slips = self._slips, slips
-        self.slid += np.abs(slips)
         return slips
 
-    def _at_other_ends(self, values: Array) -> Array:
-        """Return values (flights, 2, clasps) at the edges' other ends; 0 at the ends of chains."""
-        others = values.reshape(self._flights, -1) @ self._network.other_ends
-        return np.asarray(others.reshape(values.shape))
-
     def _nearest(self, z: Array) -> Array:
-        """Return the points of the ellipse nearest to z (flights, 2, clasps); z itself inside.
+        """Return the points of the ellipse nearest to z (flights, 2n); z itself inside.
 
         The ellipse's axes are the common and the opposite part of z, which the point shrinks by 1 +
         λ times the eigenvalues. λ takes one step per call of the iteration of Moré and Sorensen for
         trust regions, for which ``1/sqrt(zᵀ G z)`` is almost linear.
         """
-        parts = PARTS @ z
-        multiplier = self._multiplier
-        shrunk = 1.0 / (1.0 + EIGENVALUES * multiplier)
-        squares = (2.0 * EIGENVALUES) * (parts * shrunk) ** 2
-        square = np.add.reduce(squares, axis=1, keepdims=True) + TINY**2
-        slope = np.add.reduce(EIGENVALUES * shrunk * squares, axis=1, keepdims=True) + TINY**3
-        excess = np.sqrt(square) * (1.0 / math.sin(CROSSING)) - 1.0
-        self._multiplier = multiplier = np.maximum(multiplier + square * excess / slope, 0.0)
-        nearest: Array = 2.0 * PARTS @ (parts / (1.0 + EIGENVALUES * multiplier))
+        network, eigenvalues = self._network, self._eigenvalues
+        parts = z.dot(network.parts)
+        near = parts * self._shrinking
+        squares = near * near
+        square = squares.dot(network.sums)
+        slope = (eigenvalues * self._shrinking * squares).dot(network.sums) + TINY**3
+        steps = square * (np.sqrt(square) - 1.0) / slope
+        self._multiplier = np.maximum(self._multiplier + steps, 0.0)
+        self._shrinking = 1.0 / (1.0 + eigenvalues * self._multiplier)
+        nearest: Array = (parts * self._shrinking).dot(network.joined)
         return nearest

@@ -31,7 +31,7 @@ from hitchopt.lab.simulation.record import (
     layout_links,
 )
 from hitchopt.lab.simulation.settings import CLASPS, Settings
-from hitchopt.lab.simulation.task import RATE, Span, Task, closed_spans
+from hitchopt.lab.simulation.task import RATE, Cargo, Span, Task, closed_spans
 from hitchopt.lab.simulation.world import InvalidRunError, RigidBodies
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.values import Array, known
@@ -88,6 +88,7 @@ class HitchedFlights:
         self._period = control_period(self._settings)
         self._rows: list[FlightSample] = []
         self._frames: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
+        self._poses = _poses(task.cargo)
         self._gains: PositionGains | None = None
         self._rested = float("nan")
 
@@ -165,13 +166,8 @@ class HitchedFlights:
             name = task.team.point_names[task.team.layout.clasps[clasp]]
             words = f"{name} has slid along a cable to its drone"
             raise InvalidRunError("leg", words, time, name, "simulate ropes")
-        cargo = task.cargo.poses[min(index, len(task.cargo.poses) - 1)]
-        poses = np.zeros((len(cargo), 7))
-        poses[:, :3] = cargo[:, :3]
-        half_yaws = 0.5 * np.arctan2(cargo[:, 4], cargo[:, 3])
-        poses[:, 3], poses[:, 6] = np.cos(half_yaws), np.sin(half_yaws)
-        upward = np.clip(world.bodies.attitudes[:, 2, 2], -1.0, 1.0)
-        flights = len(self._seeds)
+        poses, flights = self._poses, len(self._seeds)
+        upward = np.minimum(np.maximum(world.bodies.attitudes[:, 2, 2], -1.0), 1.0)
         self._rows.append(
             FlightSample(
                 t=time,
@@ -227,3 +223,12 @@ class HitchedFlights:
             )
             for i, seed in enumerate(self._seeds)
         ]
+
+
+def _poses(cargo: Cargo) -> Array:
+    """Return the poses (objects, 7) of objects that do not move, as in ``FlightSamples``."""
+    planned = cargo.poses[0]
+    half_yaws = 0.5 * np.arctan2(planned[:, 4], planned[:, 3])
+    poses = np.zeros((len(planned), 7))
+    poses[:, :3], poses[:, 3], poses[:, 6] = planned[:, :3], np.cos(half_yaws), np.sin(half_yaws)
+    return poses
