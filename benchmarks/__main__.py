@@ -24,6 +24,7 @@ NAMES = (
     "real",
     "replay",
     "statics",
+    "clasps",
     "live",
     "losses",
     "views",
