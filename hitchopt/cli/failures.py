@@ -148,8 +148,9 @@ def report_error(error: HitchoptError) -> None:
             value = Missing()
         error = InputError(name, value, error.bound, error.remedy)
     record(errors=_entries(error))
-    has_notes = isinstance(error, InfeasibleError) and error.violations
-    notes = error.note.splitlines() if has_notes else []
+    notes = list[str]()
+    if isinstance(error, InfeasibleError) and error.violations:
+        notes = error.note.splitlines()
     lines = str(error).splitlines() or [type(error).__name__]
     for index, line in enumerate(lines):
         kind = "note" if index >= len(lines) - len(notes) else "error"
