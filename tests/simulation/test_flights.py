@@ -335,3 +335,25 @@ def test_a_tilted_cylinder_comes_to_rest(section: Section, preset: Preset) -> No
     world.step(round(0.5 / preset.time_step))
     np.testing.assert_allclose(world.poses[0], before, atol=1e-5)
     assert np.hypot(*before[4:6]) < 1e-4
+
+
+@pytest.mark.slow
+def test_a_crate_that_two_cables_carry_and_leave_does_not_turn() -> None:
+    """Its cables are drawn around it, and loosened, by equal lengths at both of their ends."""
+    crate = SolidObject(
+        Section([[-0.16, -0.13], [-0.16, 0.13], [0.16, 0.13], [0.16, -0.13]]), 0.0, 0.32, 0.06
+    )
+    team = ho.Team(2, 2.4, cable_density=0.005, tension=0.5)
+    start = ho.DronesStart(
+        q=[[-1.4, -1.0, 1.2], [-1.4, 1.0, 1.2]], r=[[0.8, -1.0, 1.2], [0.8, 1.0, 1.2]]
+    )
+    mission = ho.TransportObject("crate", to=[0.0, 0.3, 0.0], tension=1.0)
+    limits = ho.Limits(tracking=0.05)
+    plan = ho.solve(start, mission, team=team, limits=limits, objects={"crate": crate})
+    result = ho.simulate(plan, pull_test=False)
+    assert result.outcome.failures == ()
+    poses = result.flight.record.poses[:, 0]
+    axes = Rotation.from_quat(poses[:, 3:], scalar_first=True).as_matrix()
+    assert np.max(np.abs(np.degrees(np.arctan2(axes[:, 1, 0], axes[:, 0, 0])))) < 3.0
+    (state,) = result.outcome.objects
+    assert state.placed < 0.01

@@ -489,20 +489,23 @@ def test_two_cables_share_their_linking_number_over_both_clasps(links: int, each
 
 
 def test_contacts_of_two_cables_are_told_apart_by_where_they_are_along_them() -> None:
-    """Cable 0 begins at vertex 0 and ends at vertex 1, and cable 1 the other way round."""
+    """Cable 0 begins at vertex 0 and ends at vertex 1, and cable 1 the other way round.
+
+    Legs may be so short at one end that both clasps are in one half of a cable.
+    """
     team = ho.Team(robots=2, cable_length=2.4)
     contact = SimpleNamespace(
-        flex=np.array([[0, 1], [1, 0], [0, 1], [0, -1]]),
-        elem=np.array([[2, 17], [17, 2], [17, 2], [2, 2]]),
-        efc_address=np.arange(4),
-        pos=np.zeros((4, 3)),
+        flex=np.array([[0, 1], [1, 0], [0, 1], [0, -1], [0, 1]]),
+        elem=np.array([[2, 17], [17, 2], [17, 2], [2, 2], [5, 9]]),
+        efc_address=np.arange(5),
+        pos=np.zeros((5, 3)),
     )
-    data = SimpleNamespace(contact=contact, efc_force=np.array([1.0, 2.0, 3.0, 4.0]))
+    data = SimpleNamespace(contact=contact, efc_force=np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     world: Any = SimpleNamespace(data=data, cable_vertices=np.array([0, 21, 42]))
     at_clasps = ClaspContacts(world, team).now()
-    assert at_clasps.contacts.tolist() == [0, 1, 2]
-    assert at_clasps.clasps.tolist() == [0, 0, 1]
-    assert at_clasps.forces.tolist() == [1.0, 2.0, 3.0]
+    assert at_clasps.contacts.tolist() == [0, 1, 2, 4]
+    assert at_clasps.clasps.tolist() == [0, 0, 1, 0]
+    assert at_clasps.forces.tolist() == [1.0, 2.0, 3.0, 5.0]
 
 
 @pytest.mark.parametrize("name", ["two_robots_drum", "grip_drum"])

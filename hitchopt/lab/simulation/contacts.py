@@ -87,7 +87,7 @@ class CableContacts(NamedTuple):
     """(contacts, 2)"""
 
     elements: Index
-    """(contacts,), elements of the second flex, the segments of its cable."""
+    """(contacts, 2), elements of the flexes, the segments of cables."""
 
     rows: Index
     """(contacts,), rows of the constraints; -1 for contacts without a force."""
@@ -106,7 +106,7 @@ class CableContacts(NamedTuple):
         normal_forces = np.maximum(world.data.efc_force[contact.efc_address], 0.0)
         return cls(
             flexes=contact.flex.copy(),
-            elements=contact.elem[:, 1].copy(),
+            elements=contact.elem.copy(),
             rows=contact.efc_address.copy(),
             forces=np.asarray(normal_forces),
             positions=contact.pos.copy(),
@@ -145,7 +145,8 @@ class ClaspContacts:
         first, second = contacts.flexes.T
         clasps = self._where_begins[first, second]
         if self._clasps_twice:
-            at_end = contacts.elements >= 0.5 * self._segments[second]
+            along_first, along_second = contacts.elements.T / self._segments[contacts.flexes.T]
+            at_end = along_second >= along_first
             clasps = np.where(at_end, self._where_ends[first, second], clasps)
         (pressing,) = np.nonzero((clasps >= 0) & (contacts.rows >= 0))
         return ContactsAtClasps(pressing, clasps[pressing], contacts.forces[pressing])
