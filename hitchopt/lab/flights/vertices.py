@@ -11,7 +11,7 @@ the scatter of markers, not of samples, since the offset of a marker from its ca
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -30,10 +30,6 @@ from hitchopt.values import Array, Indices
 RATE = 20.0  # Sampling rate of vertices [Hz]
 DRONE_RADIUS = 0.09  # Distance from a drone within which markers belong to it [m]
 WINDOW = 0.1  # Default time window of line fits [s]
-# Gate about an edge [m] and window [s] of every round, None for the default window; overlapping
-# windows per window
-ROUNDS = ((0.30, 1.0), (0.12, 0.6), (0.05, 0.3), (0.03, None), (0.02, None))
-OVERLAP = 5
 RIDGE = np.array([0.0, 1e-6, 1e-6])  # Added to mean squares of positions [m²] and times [s²]
 MIN_SPREAD = 1e-3  # Smallest sum of squared positions of an edge's markers [m²]
 MIN_SPACING = 0.03  # Minimum distance of two markers along an edge [m]
@@ -55,6 +51,23 @@ CONTACT_OFFSET = (0.8, 0.75)
 CLASP_DISTANCE = 0.05  # Distance of planned markers to clasps [m]
 MIN_SECTION = 0.1  # Shortest marked section [m]
 MARKERS = 3  # Number of planned markers on an edge
+
+
+class Round(NamedTuple):
+    """One of the rounds in which points are assigned to edges and lines are fitted."""
+
+    gate: float  # largest distance of points from their line [m]
+    window: float | None  # time window of the fits [s]; None for the default one
+
+
+ROUNDS = (
+    Round(0.30, 1.0),
+    Round(0.12, 0.6),
+    Round(0.05, 0.3),
+    Round(0.03, None),
+    Round(0.02, None),
+)
+OVERLAP = 5  # Overlapping windows per window of the first rounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +149,7 @@ def measured_vertices(
     if density is None and team.cable_density >= MIN_DENSITY:
         density = team.cable_density
     times, frame = np.unique(cloud.t, return_inverse=True)
-    displacement = np.median(drones - plan_at(task, times, task.states.positions), axis=1)
-    frames = max(1, round(SMOOTHING * len(times) / max(np.ptp(times), SMOOTHING)))
-    displacement = uniform_filter1d(displacement, frames, axis=0, mode="nearest")
+    displacement = _smoothed_displacement(task, times, drones)
     of_drones = np.min(length(cloud.positions[:, None] - drones[frame]), axis=1) < DRONE_RADIUS
     frame = frame[~of_drones]
     time = cloud.t[~of_drones]
@@ -146,18 +157,19 @@ def measured_vertices(
     s, values = expected.local(frame, cloud.positions[~of_drones])
     ends: list[Array] = [np.zeros(s.shape), expected.span[frame]]
     off = values[..., :2] - (density or 0.0) * values[..., 2:] * [0.0, 1.0]
-    for gate, width in ((gate, width or window) for gate, width in ROUNDS):
+    for gate, stated_width in ROUNDS:
+        width = stated_width or window
         distance = np.where((s > ends[0]) & (s < ends[1]), length(off), np.inf)
         edge = np.argmin(distance, axis=1)
         ratio = np.min(distance, axis=1) / gate
         grid = np.arange(t[0], t[-1] + width, width / OVERLAP) if width > window else t
-        lines = []
+        lines = list[_Lines]()
         for k in range(s.shape[1]):
-            chosen = (ratio < 1.0) & (edge == k)
-            samples = time[chosen], s[chosen, k], values[chosen, k], (1.0 - ratio[chosen] ** 2) ** 2
-            lines.append(_fit_lines(*samples, grid, width, density))
-        fit, markers = (np.stack(each, axis=1) for each in list(zip(*lines, strict=True))[:2])
-        densities, squares, freedom = np.array([line[2:] for line in lines]).T
+            on = (ratio < 1.0) & (edge == k)
+            points = _Points(time[on], s[on, k], values[on, k], (1.0 - ratio[on] ** 2) ** 2)
+            lines.append(_Lines.fitted(points, grid, width, density))
+        fit = np.stack([each.fit for each in lines], axis=1)
+        densities = np.array([each.density for each in lines])
         edges = _Edges.of(task, grid, through_gaps(times, displacement, grid))
         crossings, ends_at_grid, sine = _crossings(edges, fit, densities, layout)
         offset, slope = np.moveaxis(through_gaps(grid, fit, time), -2, 0)
@@ -165,15 +177,21 @@ def measured_vertices(
         off[..., 1] -= densities * values[..., 2]
         crossed_at_points = (through_gaps(grid, each, time) for each in ends_at_grid)
         ends = [np.where(np.isnan(a), b, a) for a, b in zip(crossed_at_points, ends, strict=True)]
-    # All windows see the same markers: the degrees of freedom are those of one window
-    free = max(float(np.sum(freedom)), 1.0)
-    scatter = np.sqrt(np.sum(squares) / free) * float(stdtrit(free, ONE_SIGMA))
-    scatter = np.hypot(scatter, ROPE_SCATTER)
+    markers = np.stack([each.markers for each in lines], axis=1)
+    scatter = np.hypot(_scatter_of(lines), ROPE_SCATTER)
     errors = np.full(crossings.shape[:2], np.nan)
     errors[:, layout.clasps] = scatter * relative_errors(markers, ends_at_grid, sine, layout)
     wrong = ~(errors < MAX_ERROR) | _outlying(crossings - plan_at(task, t, task.states.vertices))
     crossings[wrong], errors[wrong] = np.nan, np.nan
     return Measured(crossings, errors, densities, np.mean(np.nan_to_num(markers[..., 0]), axis=0))
+
+
+def _smoothed_displacement(task: TeamTask, times: Array, drones: Array) -> Array:
+    """Return the common displacement (times, 3) [m] of drones (times, 2n, 3) [m] from the plan."""
+    displacement = np.median(drones - plan_at(task, times, task.states.positions), axis=1)
+    frames = max(1, round(SMOOTHING * len(times) / max(np.ptp(times), SMOOTHING)))
+    smoothed: Array = uniform_filter1d(displacement, frames, axis=0, mode="nearest")
+    return smoothed
 
 
 def through_gaps(t: Array, values: Array, times: Array) -> Array:
@@ -187,63 +205,123 @@ def through_gaps(t: Array, values: Array, times: Array) -> Array:
     return curves.reshape(len(times), *values.shape[1:])
 
 
-def _fit_lines(
-    time: Array, s: Array, values: Array, weight: Array, grid: Array, width: float, density: Any
-) -> tuple[Array, Array, float, float, float]:
-    """Return lines of an edge in windows about times ``grid`` (t,), and statistics of its markers.
+class _Points(NamedTuple):
+    """Points of one edge, in order of time."""
 
-    Lines follow from weighted moments of the edge's points: of ones, positions ``s``, times and
-    ``values`` (k, 3), summed over windows. The density of the cable is fitted if it is None.
+    time: Array  # (k,) [s]
+    s: Array  # (k,) [m], positions along the edge
+    values: Array  # (k, 3): lateral and vertical offset [m], and sag over the density [m²/kg]
+    weight: Array  # (k,)
 
-    Returns
-    -------
-    Offset and slope (t, 2, 2), lateral and vertical; nan with fewer than two markers. Number, mean
-    position [m] and sum of squared positions [m²] of markers (t, 3). Density [kg/m]. Means over
-    windows of the markers' squared residuals [m²] and of the degrees of freedom.
+
+class _Moments(NamedTuple):
+    """Weighted moments of points in windows (t,): of ones, positions, times and values.
+
+    Positions and times are relative to the means and middles of the windows.
     """
-    columns = np.column_stack([np.ones(len(s)), s, time, values])
-    products = np.cumsum(weight[:, None, None] * columns[:, :, None] * columns[:, None], axis=0)
-    total = np.concatenate([np.zeros((1, 6, 6)), products])
-    first, end = (np.searchsorted(time, grid + share * width) for share in (-0.5, 0.5))
-    moments = total[end] - total[first]  # (t, 6, 6)
-    size = np.maximum(moments[:, 0, 0], 1e-9)
-    middle = moments[:, 0, 1] / size
-    shift = np.tile(np.eye(6), (len(grid), 1, 1))  # Centres positions and times
-    shift[:, 1, 0], shift[:, 2, 0] = -middle, -grid
-    moments = shift @ moments @ np.swapaxes(shift, 1, 2)
-    H = moments[:, :3, :3] + size[:, None, None] * np.diag(RIDGE) + 1e-12 * np.eye(3)
-    fit = np.linalg.solve(H, moments[:, :3, 3:])
-    if density is None:
-        residuals = moments[:, 3:, 3:] - np.swapaxes(moments[:, :3, 3:], 1, 2) @ fit
+
+    first: Indices  # (t,), first point of every window
+    end: Indices  # (t,), point after the last one
+    size: Array  # (t,), sum of weights
+    middle: Array  # (t,) [m], mean position
+    products: Array  # (t, 6, 6)
+
+    @classmethod
+    def of(cls, points: _Points, grid: Array, width: float) -> _Moments:
+        """Return the moments in windows of a width [s] about times (t,)."""
+        ones = np.ones(len(points.s))
+        columns = np.column_stack([ones, points.s, points.time, points.values])
+        weighted = points.weight[:, None, None] * columns[:, :, None] * columns[:, None]
+        total = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(weighted, axis=0)])
+        first = np.searchsorted(points.time, grid - 0.5 * width)
+        end = np.searchsorted(points.time, grid + 0.5 * width)
+        products = total[end] - total[first]
+        size = np.maximum(products[:, 0, 0], 1e-9)
+        middle = products[:, 0, 1] / size
+        shift = np.tile(np.eye(6), (len(grid), 1, 1))
+        shift[:, 1, 0] = -middle
+        shift[:, 2, 0] = -grid
+        return cls(first, end, size, middle, shift @ products @ np.swapaxes(shift, 1, 2))
+
+    def fit(self) -> Array:
+        """Return offset, slope and rate of every value (t, 3, 3) by regularised least squares."""
+        H = self.products[:, :3, :3] + self.size[:, None, None] * np.diag(RIDGE)
+        H = H + 1e-12 * np.eye(3)
+        return np.asarray(np.linalg.solve(H, self.products[:, :3, 3:]), dtype=np.float64)
+
+    def density(self, fit: Array) -> float:
+        """Return the density [kg/m] with which heights about lines are least."""
+        explained = np.swapaxes(self.products[:, :3, 3:], 1, 2) @ fit
+        residuals = self.products[:, 3:, 3:] - explained
         both, squares = np.sum(residuals[:, 1:, 2], axis=0)
-        density = float(np.clip(both / max(squares, 1e-12), 0.0, MAX_DENSITY))
-    fit = fit[..., :2] - density * fit[..., 2:] * [0.0, 1.0]
-    window = np.repeat(np.arange(len(grid)), end - first)
-    i = np.concatenate([np.arange(a, b) for a, b in zip(first, end, strict=True)])
-    window, i = window[heavy := weight[i] > MIN_WEIGHT], i[heavy]
-    design = np.stack([np.ones(len(i)), s[i] - middle[window], time[i] - grid[window]], axis=1)
-    residuals = values[i, :2] - density * values[i, 2:] * [0.0, 1.0]
+        return float(np.clip(both / max(squares, 1e-12), 0.0, MAX_DENSITY))
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Lines of an edge in windows about times (t,), and statistics of its markers."""
+
+    fit: Array  # (t, 2, 2), offset and slope, lateral and vertical; nan without two markers
+    markers: Array  # (t, 3): number, mean position [m], sum of squared positions [m²]
+    density: float  # [kg/m], stated or fitted
+    squares: float  # [m²], mean over windows of the markers' squared residuals
+    freedom: float  # mean over windows of the degrees of freedom
+
+    @classmethod
+    def fitted(cls, points: _Points, grid: Array, width: float, density: float | None) -> _Lines:
+        """Return the lines in windows of a width [s]; the density is fitted if it is None."""
+        moments = _Moments.of(points, grid, width)
+        fit = moments.fit()
+        density = moments.density(fit) if density is None else density
+        fit = fit[..., :2] - density * fit[..., 2:] * [0.0, 1.0]
+        owner, position, errors = _markers(points, grid, moments, fit, density)
+        count = np.bincount(owner, minlength=len(grid))
+        mean = np.bincount(owner, position, len(grid)) / np.maximum(count, 1)
+        squares = np.bincount(owner, (position - mean[owner]) ** 2, len(grid))
+        markers = np.column_stack([count, mean, squares])
+        fit[:, 0] -= fit[:, 1] * moments.middle[:, None]
+        unusable = (count < 2) | (squares < MIN_SPREAD)
+        fit[unusable] = np.nan
+        markers[unusable] = np.nan
+        scatter = np.sum(np.square(errors)[:, count[owner] > 2]) / len(grid)
+        freedom = 2.0 * np.mean(np.maximum(count - 2, 0))
+        return cls(fit[:, :2], markers, density, float(scatter), float(freedom))
+
+
+def _markers(
+    points: _Points, grid: Array, moments: _Moments, fit: Array, density: float
+) -> tuple[Indices, Array, Array]:
+    """Return markers (m,) in windows: index of the window, position [m] and errors (2, m) [m].
+
+    Points of a window that are close along the edge belong to one marker.
+    """
+    window = np.repeat(np.arange(len(grid)), moments.end - moments.first)
+    bounds = zip(moments.first, moments.end, strict=True)
+    i = np.concatenate([np.arange(first, end) for first, end in bounds])
+    heavy = points.weight[i] > MIN_WEIGHT
+    window = window[heavy]
+    i = i[heavy]
+    from_middle = points.s[i] - moments.middle[window]
+    design = np.stack([np.ones(len(i)), from_middle, points.time[i] - grid[window]], axis=1)
+    residuals = points.values[i, :2] - density * points.values[i, 2:] * [0.0, 1.0]
     residuals = residuals - np.einsum("kc,kcv->kv", design, fit[window])
-    # Points of a window that are close along the edge belong to one marker
-    order = np.lexsort((s[i], window))
+    order = np.lexsort((points.s[i], window))
     window = window[order]
-    positions = s[i[order]]
+    positions = points.s[i[order]]
     residuals = residuals[order]
     new = (np.diff(window, prepend=-1) > 0) | (np.diff(positions, prepend=-np.inf) > MIN_SPACING)
     marker = np.cumsum(new) - 1
-    owner = window[new]
     members = np.bincount(marker)
     position, *errors = (np.bincount(marker, x) / members for x in (positions, *residuals.T))
-    count = np.bincount(owner, minlength=len(grid))
-    mean = np.bincount(owner, position, len(grid)) / np.maximum(count, 1)
-    squares = np.bincount(owner, (position - mean[owner]) ** 2, len(grid))
-    markers = np.column_stack([count, mean, squares])
-    fit[:, 0] -= fit[:, 1] * middle[:, None]
-    unusable = (count < 2) | (squares < MIN_SPREAD)
-    fit[unusable], markers[unusable] = np.nan, np.nan
-    freedom = 2.0 * np.mean(np.maximum(count - 2, 0))
-    scatter = np.sum(np.square(errors)[:, count[owner] > 2]) / len(grid)
-    return fit[:, :2], markers, density, float(scatter), float(freedom)
+    return window[new], position, np.array(errors)
+
+
+def _scatter_of(lines: list[_Lines]) -> float:
+    """Return the scatter of markers about lines [m], larger with few degrees of freedom."""
+    # All windows see the same markers: the degrees of freedom are those of one window
+    freedom = max(float(np.sum([each.freedom for each in lines])), 1.0)
+    squares = np.sum([each.squares for each in lines])
+    return float(np.sqrt(squares / freedom) * stdtrit(freedom, ONE_SIGMA))
 
 
 def _crossings(

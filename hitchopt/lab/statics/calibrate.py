@@ -37,7 +37,7 @@ from scipy.sparse.linalg import splu
 from hitchopt.checks.vertex_errors import RestErrors, errors_at_rests, errors_of_sizes
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.hitch import Team
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.energy import HitchEnergy, bends_of, energy_of
 from hitchopt.hitch.rest_errors import ErrorSizes
 from hitchopt.hitch.team import Errors
@@ -285,42 +285,15 @@ def calibrate(
     winds = np.isinf(team.integral) if recording.integral is None else recording.integral
     loops = {"stiffness": 1.0, "integral": False, "feed_forward": feed_forward}
     conditions = conditions_of(team, cable_density=rope_density, **loops)
-
-    kind_of_each = [kind.uncalibrated for kind in team.kinds]
-    kinds = sorted(set(kind_of_each), key=repr)
-    kind_of_drone = np.array([kinds.index(each) for each in kind_of_each])
-    stated = np.array([kind.loop.kp[0] for kind in kinds])
-    initial = np.where(np.isfinite(stated), stated, INITIAL_STIFFNESS)
-    expected = np.append(-np.log(initial), np.zeros(3))
-    spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, FIXED])
-    integral = "integral action returns drones to their setpoints, regardless of their stiffness"
-    estimates = [Estimate(remark=integral)] * len(kinds)
-    long_windows = windows_of(recording, task, STIFFNESS_WINDOW)
-    if not len(long_windows.t):
-        reason = f"the plan's hitch is visible for less than {STIFFNESS_WINDOW:g} s without a gap"
-        estimates = [Estimate(remark=reason)] * len(kinds)
-    elif not np.any(winds):
-        stiffness_balance = _Balance.of(task, long_windows, conditions, kind_of_drone)
-        expected, errors, _, variance_factor = stiffness_balance.fitted(
-            expected, spread, LONG_SCATTER
-        )
-        stiffness = np.exp(-expected[: len(kinds)])
-        errors = errors * math.sqrt(variance_factor)
-        remedy = "displacements of drones are too small; fly a plan without the cables' weight"
-        estimates = [
-            _estimate(k, error * k, MODEL_ERROR, MAX_STIFFNESS_ERROR * k, remedy)
-            for k, error in zip(stiffness.tolist(), errors.tolist(), strict=False)
-        ]
-    determined = [one.known for one in estimates]
-    expected[: len(kinds)] = np.where(determined, expected[: len(kinds)], -np.log(stated))
-    balance = _Balance.of(task, windows, conditions, kind_of_drone)
-    friction, tensions = _friction(task, recording, windows, balance, expected)
-    tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
-    arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions).lengths
-    visible = windows.visible[:, team.layout.starts] & windows.visible[:, team.layout.ends]
-    lengths = [_median(arcs[visible[:, edge], edge]) for edge in range(team.robots)]
-    level = np.exp(-expected[: len(kinds)])[kind_of_drone]
-    loops |= {"stiffness": level[:, None] / balance.relative_compliance, "integral": winds}
+    kinds = _Kinds.of(team)
+    stiffness = _Stiffness.estimated(kinds, task, recording, conditions, winds)
+    balance = _Balance.of(task, windows, conditions, kinds.of_drones)
+    friction, tensions = _friction(task, recording, windows, balance, stiffness.expected)
+    lengths = _lengths(task, windows, balance, tensions)
+    loops |= {
+        "stiffness": stiffness.of_drones[:, None] / balance.relative_compliance,
+        "integral": winds,
+    }
     settling = conditions_of(team, cable_density=rope_density, **loops)
     t = recording.t
     setpoints = task.states.positions
@@ -330,12 +303,98 @@ def calibrate(
         recording,
         rope_density,
         tuple(lengths[edge] for edge in team.edges),
-        tuple(estimates[kinds.index(kind.uncalibrated)] for kind in team.of_problem.quadrotor),
+        tuple(
+            stiffness.estimates[kinds.kinds.index(kind.uncalibrated)]
+            for kind in team.of_problem.quadrotor
+        ),
         friction,
         _at_rests(task, windows, settling, lengths),
         np.where(taut_at(task, t)[:, None], vertex_errors, np.nan),
         length(recording.drones - plan_at(task, t, setpoints)),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Kinds:
+    """Kinds of drones, each of which has one horizontal stiffness."""
+
+    kinds: list[Quadrotor]
+    of_drones: Indices  # (2n,), kind of each drone
+
+    @classmethod
+    def of(cls, team: Team) -> _Kinds:
+        """Return the kinds of a team's drones."""
+        each = [kind.uncalibrated for kind in team.kinds]
+        kinds = sorted(set(each), key=repr)
+        return cls(kinds, np.array([kinds.index(kind) for kind in each]))
+
+    @property
+    def stated(self) -> Array:
+        """(kinds,) [N/m], nan where the team states no stiffness."""
+        return np.array([kind.loop.kp[0] for kind in self.kinds])
+
+
+@dataclass(frozen=True, eq=False)
+class _Stiffness:
+    """Estimates of the stiffness of every kind of drone, and of the steady wind."""
+
+    kinds: _Kinds
+    estimates: list[Estimate]
+    expected: Array  # common unknowns of ``_Balance``; the stated stiffness if it is undetermined
+
+    @classmethod
+    def undetermined(cls, kinds: _Kinds, reason: str) -> _Stiffness:
+        """Return the stated stiffness, for a reason."""
+        expected = np.append(-np.log(kinds.stated), np.zeros(3))
+        return cls(kinds, [Estimate(remark=reason)] * len(kinds.kinds), expected)
+
+    @classmethod
+    def estimated(
+        cls, kinds: _Kinds, task: TeamTask, recording: Recording, conditions: Any, winds: Any
+    ) -> _Stiffness:
+        """Estimate the stiffness from mean displacements of drones in long windows.
+
+        ``winds`` (…) are true where integral action compensates steady forces.
+        """
+        windows = windows_of(recording, task, STIFFNESS_WINDOW)
+        if not len(windows.t):
+            seconds = f"less than {STIFFNESS_WINDOW:g} s without a gap"
+            return cls.undetermined(kinds, f"the plan's hitch is visible for {seconds}")
+        if np.any(winds):
+            action = "integral action returns drones to their setpoints"
+            return cls.undetermined(kinds, f"{action}, regardless of their stiffness")
+        count = len(kinds.kinds)
+        initial = np.where(np.isfinite(kinds.stated), kinds.stated, INITIAL_STIFFNESS)
+        prior = np.append(-np.log(initial), np.zeros(3))
+        spread = np.array([STIFFNESS_RANGE] * count + [WIND_SCALE, WIND_SCALE, FIXED])
+        balance = _Balance.of(task, windows, conditions, kinds.of_drones)
+        expected, errors, _, variance_factor = balance.fitted(prior, spread, LONG_SCATTER)
+        errors = errors * math.sqrt(variance_factor)
+        remedy = "displacements of drones are too small; fly a plan without the cables' weight"
+        estimates = [
+            _estimate(k, error * k, MODEL_ERROR, MAX_STIFFNESS_ERROR * k, remedy)
+            for k, error in zip(np.exp(-expected[:count]).tolist(), errors.tolist(), strict=False)
+        ]
+        determined = [one.known for one in estimates]
+        expected[:count] = np.where(determined, expected[:count], -np.log(kinds.stated))
+        return cls(kinds, estimates, expected)
+
+    @property
+    def of_drones(self) -> Array:
+        """(2n,) [N/m], horizontal stiffness of every drone."""
+        stiffness: Array = np.exp(-self.expected[: len(self.kinds.kinds)])[self.kinds.of_drones]
+        return stiffness
+
+
+def _lengths(
+    task: TeamTask, windows: Windows, balance: _Balance, tensions: Array
+) -> list[Estimate]:
+    """Return lengths of cables by edge, from positions and tensions (windows, n) [N]."""
+    layout = task.team.layout
+    tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
+    arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions).lengths
+    visible = windows.visible[:, layout.starts] & windows.visible[:, layout.ends]
+    return [_median(arcs[visible[:, edge], edge]) for edge in range(task.team.robots)]
 
 
 def _friction(
