@@ -115,7 +115,7 @@ MUTATIONS = (
     Mutation("/verify/cables.py", "np.where(ramp, 0.0, low)", "0.0", "verify/test_forged_files.py::test_every_cable_has_its_own_ramp", "smallest tensions dropped"),
     Mutation("/verify/cables.py", "-total_turn(s) + (361.0 if", "-total_turn(s) + (721.0 if", "verify/test_limits.py::test_outlines_turn_once", "two turns of an outline"),
     Mutation("/verify/cables.py", "shared = np.any(", "shared = np.all(", "verify/test_verify.py::test_it_agrees_with_the_certificate[triangle]", "parts that share a clasp taken for others"),
-    Mutation("/verify/cables.py", 'lim["leg"] + 2.0 * p.tracking', 'lim["leg"]', "verify/test_limits.py::test_distances_are_wider_by_errors_of_drones", "errors of drones in legs dropped"),
+    Mutation("/verify/cables.py", 'limits["leg"] + 2.0 * p.tracking', 'limits["leg"]', "verify/test_limits.py::test_distances_are_wider_by_errors_of_drones", "errors of drones in legs dropped"),
     Mutation("/verify/reading.py", '("cable", 2.0), ("crossing", 2.0)', '("cable", 2.0), ("crossing", 1.0)', "verify/test_limits.py::test_distances_are_wider_by_errors_of_drones", "errors of one cable of two"),
     Mutation("/verify/reading.py", "np.array([wide + error, wide + error, high * self.ratio])", "np.array([wide, wide, high * self.ratio])", "verify/test_limits.py::test_ellipsoids_contain_those_of_drones_with_errors", "ellipsoids without errors of drones"),
     Mutation("/verify/reading.py", "if not low[q, k, 1 - start]:", "if True:", "verify/test_forged_files.py::test_tensions_rise_to_the_smallest_at_which_a_hitch_is_held", "ramps that end anywhere"),

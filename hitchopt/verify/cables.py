@@ -19,47 +19,27 @@ OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run s
 
 def taut_cables(p: Plan) -> Iterator[Row]:
     """Prove distances, lengths and shapes of hitches, tensions, and force residuals of clasps."""
-    on, lim, ties, names = p.taut, p.limits, p.segments[:, 3:], p.segment_names
+    limits = p.limits
+    names = p.segment_names
     clasps = Spans.of(p, p.formed, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
-    legs = Spans.of(p, on, np.flatnonzero(p.leg), p.names)
-    cables = Spans.of(p, on, range(p.n), p.cables)
+    legs = Spans.of(p, p.taut, np.flatnonzero(p.leg), p.names)
+    cables = Spans.of(p, p.taut, range(p.n), p.cables)
     vertices = Spans.of(p, p.formed, range(p.V.start, p.V.stop), p.labels)
     own = np.where(p.leg, np.arange(p.N), p.anchor)  # other end of the segment at each drone
     foreign = np.argwhere(np.all(p.segments[:, :2] != own[:, None, None], axis=2))
+    ties = p.segments[:, 3:]
     shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
-    pairs = Spans.of(p, on, np.argwhere(np.triu(~shared, 1)), names, names)
-
-    def turn_margin(s: Spans, _: Index) -> Line:
-        """Return the margin of the total turn to more than one turn, or to one for a chain."""
-        return -total_turn(s) + (361.0 if p.closed else 360.0)
-
-    def range_excess(s: Spans, k: Index) -> Line:
-        """Return ``T - T_max``, or ``T_min - T``; on ramps from 0 to T_min their excesses."""
-        x, (low, high) = p.tensions.on(s, k), p.tension_range[s.piece, k, :, None].swapaxes(0, 1)
-        ramp = p.ramp[s.piece, k, None]
-        return maximum(x - np.where(ramp, low, high), -x + np.where(ramp, 0.0, low))
-
-    def bend(s: Spans, k: Index) -> Line:
-        (a, b), (first, last) = s.edge(k), (s.point(i) for i in p.edges[1:3, k])
-        return maximum(a.unit().cross(b.unit()).norm(), (last - first).norm())
-
-    def arena_gap(s: Spans, j: Index, *, leg: bool) -> Line:
-        """Return distances of segments to walls, with a sag of ``ρ g s² / 8 T`` at the middle."""
-        (a, b), k = s.segment(j), p.segments[j, 2]
-        chord, T = b - a, p.pulls.on(s, p.segments[j, 1]) if leg else p.tensions.on(s, k)
-        sag = chord.dot(chord) * s.inverse_tension(T, k) * (0.125 * p.weight)
-        inner = wall_gap(s, [a + chord * x for x in (0.25, 0.5, 0.75)], sag)
-        return minimum(wall_gap(s, [a, b]), inner)
-
+    pairs = Spans.of(p, p.taut, np.argwhere(np.triu(~shared, 1)), names, names)
     for j in np.split(np.arange(len(p.segments)), [int(np.sum(p.leg))]):
-        yield prove(p.arena_row, 0.0, Spans.of(p, on, j, names), partial(arena_gap, leg=not j[0]))
-    s = Spans.of(p, on, foreign, p.names, names)
+        inside = partial(arena_gap, leg=not j[0])
+        yield prove(p.arena_row, 0.0, Spans.of(p, p.taut, j, names), inside)
+    s = Spans.of(p, p.taut, foreign, p.names, names)
     near = partial(distance, ratio=p.ratio)
     yield prove(*p.cable_limit, s, lambda s, i, j: near([s.point(i)], s.segment(j)))
     yield prove(*p.crossing_limit, pairs, lambda s, i, j: near(s.segment(i), s.segment(j)))
-    speed = "vertex_speed m/s max", lim["vertex_speed"]
+    speed = "vertex_speed m/s max", limits["vertex_speed"]
     yield prove(*speed, vertices, lambda s, i: s.point(i, 1).norm())
-    least = lim["leg"] + 2.0 * p.tracking  # vertices may be off as far as drones
+    least = limits["leg"] + 2.0 * p.tracking  # vertices may be off as far as drones
     yield prove("legs m min", least, legs, lambda s, i: s.leg(i).flat(p.ratio).norm())
     yield prove("cable_length ratio max", 1e-4, cables, length_error)
     yield prove("equilibrium ratio max", 5e-3, clasps, force_residual)
@@ -73,8 +53,41 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     if p.frictional:
         yield prove("equilibrium ratio max", 5e-3, legs, friction_excess)
     if p.has_contacts:
-        straight = Spans.of(p, on & ~np.any(p.grip, axis=0), range(p.n), p.cables)
+        straight = Spans.of(p, p.taut & ~np.any(p.grip, axis=0), range(p.n), p.cables)
         yield prove("bend 1 max", 2 * WRAP_TOL, straight, bend)
+
+
+def arena_gap(s: Spans, j: Index, *, leg: bool) -> Line:
+    """Return distances of segments to walls, with a sag of ``ρ g s² / 8 T`` at the middle."""
+    p = s.plan
+    a, b = s.segment(j)
+    k = p.segments[j, 2]
+    chord = b - a
+    T = p.pulls.on(s, p.segments[j, 1]) if leg else p.tensions.on(s, k)
+    sag = chord.dot(chord) * s.inverse_tension(T, k) * (0.125 * p.weight)
+    inner = wall_gap(s, [a + chord * x for x in (0.25, 0.5, 0.75)], sag)
+    return minimum(wall_gap(s, [a, b]), inner)
+
+
+def turn_margin(s: Spans, _: Index) -> Line:
+    """Return the margin of the total turn to more than one turn, or to one for a chain."""
+    return -total_turn(s) + (361.0 if s.plan.closed else 360.0)
+
+
+def range_excess(s: Spans, k: Index) -> Line:
+    """Return ``T - T_max``, or ``T_min - T``; on ramps from 0 to T_min their excesses."""
+    p = s.plan
+    T = p.tensions.on(s, k)
+    low, high = p.tension_range[s.piece, k, :, None].swapaxes(0, 1)
+    ramp = p.ramp[s.piece, k, None]
+    return maximum(T - np.where(ramp, low, high), -T + np.where(ramp, 0.0, low))
+
+
+def bend(s: Spans, k: Index) -> Line:
+    """Return the turn of edges without an object, or the distance of their contacts [m]."""
+    leaving, arriving = s.edge(k)
+    first, last = (s.point(i) for i in s.plan.edges[1:3, k])
+    return maximum(leaving.unit().cross(arriving.unit()).norm(), (last - first).norm())
 
 
 def friction_excess(s: Spans, i: Index) -> Line:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from functools import partial
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -118,14 +118,27 @@ def roll_changes(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
     return angles[0], np.sum(steps, axis=0), np.all(valid.reshape(-1, count), axis=0)
 
 
-def rolled(
-    p: Plan, run: Items, linked: Mask, sense: Array, order: Array, before: str, after: str
-) -> tuple[Array, Array, list[tuple[Mask, str]]]:
-    """Return senses and height orders (c,) after pairs have rolled, and masks of faults.
+class Run(NamedTuple):
+    """Consecutive pieces of one state of cables, and the states before and after, or empty."""
 
-    ``before`` and ``after`` are the states of cables before and after, empty at ends of the plan.
-    """
-    start, change, valid = roll_changes(p, run)
+    state: str
+    pieces: Items
+    before: str
+    after: str
+
+
+def runs_of_states(p: Plan) -> list[Run]:
+    """Return the runs of a plan's pieces of one state."""
+    runs = [(str(x), np.array([*q])) for x, q in groupby(range(len(p.h)), lambda q: p.state[q])]
+    states = ["", *(state for state, _ in runs), ""]
+    return [Run(state, q, states[k], states[k + 2]) for k, (state, q) in enumerate(runs)]
+
+
+def rolled(
+    p: Plan, run: Run, linked: Mask, sense: Array, order: Array
+) -> tuple[Array, Array, list[tuple[Mask, str]]]:
+    """Return senses and height orders (c,) after pairs have rolled, and masks of faults."""
+    start, change, valid = roll_changes(p, run.pieces)
     opened = np.abs(start) >= OPEN_ROLL
     valid &= (opened == (order != 0.0)) & (opened | linked)
     sense = np.where(order != 0.0, order, sense)
@@ -133,75 +146,109 @@ def rolled(
     roll = np.where(opened, (roll + 180.0) % 360.0 - 180.0, roll) + change
     across = np.abs(roll) <= 180.0 - OPEN_ROLL
     short = ~across & (np.abs(roll - 180.0 * sense) >= OPEN_ROLL)
-    faults = [(opened & (not before), "a clasp is open at the start")]
-    faults += [(~valid, "unlinked cables roll")]
-    faults += [(short | across & (after == "hitched"), "pairs do not roll by a half turn")]
+    faults = [
+        (opened & (not run.before), "a clasp is open at the start"),
+        (~valid, "unlinked cables roll"),
+        (short | across & (run.after == "hitched"), "pairs do not roll by a half turn"),
+    ]
     return sense, np.where(across, sense, 0.0), faults
 
 
-def replay(
-    p: Plan, half_crossings: Array, sense: Array, order: Array
-) -> tuple[list[Fault], Array, Array]:
-    """Replay half crossings of neighbours that are laid and roll, and add them to an array.
+class Replay:
+    """Half crossings of neighbours that are laid, bend and roll, followed run by run.
 
-    ``sense`` and ``order`` (c,) are senses of links and height orders at the start, 1 if a cable
-    lies on the one behind.
-    Returns faults and, on pieces with vertical motion, the sign (m, c) of the upper cable, and the
-    smallest height of its q over the other one's, times that sign; on pieces that roll, the sign is
-    that of the sense.
+    For every clasp (c,), ``sense`` is that of its link, and ``order`` that of heights: 1 if the
+    cable ahead lies on the one behind, 0 if they do not touch. On pieces (m, c) with vertical
+    motion, ``sign`` is that of the upper cable, and ``least`` the smallest height of its q over the
+    other one's, times that sign; on pieces that roll, ``sign`` is that of the sense.
     """
-    m, count, faults = len(p.h), len(p.clasps), list[Fault]()
-    sign, least = np.zeros((m, count)), np.full((m, count), -BIG)
-    runs = [(str(s), np.array([*q])) for s, q in groupby(range(m), lambda q: p.state[q])]
-    names = ["", *(s for s, _ in runs), ""]
-    i, j = np.minimum(p.clasps, p.behind), np.maximum(p.clasps, p.behind)
 
-    def check(q: int, wrong: Any, text: str) -> None:
-        faults.append((float(p.breaks[q]), bool(np.any(wrong)), text))
+    def __init__(self, p: Plan, half_crossings: Array, sense: Array) -> None:
+        self.p = p
+        self.half_crossings = half_crossings
+        self.sense = sense
+        self.order = 0.0 * sense
+        self.neighbours = np.minimum(p.clasps, p.behind), np.maximum(p.clasps, p.behind)
+        self.faults = list[Fault]()
+        self.sign = np.zeros((len(p.h), len(p.clasps)))
+        self.least = np.full((len(p.h), len(p.clasps)), -BIG)
 
-    for at, (state, run) in enumerate(runs):
-        before, after, q = names[at], names[at + 2], int(run[0])
-        number = np.sum(half_crossings[i, j, : q + 1], axis=-1) / (1 + p.two)
-        linked = np.abs(number) == 1.0
-        if state == LAID:
-            check(q, (before != ROLLING) & (linked | (order != 0.0)), "linked cables are laid")
-            for vertical, part in groupby(run.tolist(), lambda q: bool(p.vertical[q])):
-                pieces = [*part]
-                lifted = before == ROLLING and pieces[0] == q
-                lowered = after == ROLLING and pieces[-1] == run[-1]
-                contact, e = lifted or lowered, int(not lifted)  # the end at which they touch
-                check(q, contact and (lowered == lifted or not vertical), "touching cables move")
-                if not vertical:
-                    continue
-                near, far = (crossing_heights(p, pieces[x - 1], 1 - x) for x in (1 - e, e))
-                upper, apart = np.sign(np.nan_to_num(far)), np.isnan(far) & (not contact)
-                clear = apart | (np.abs(far) >= p.crossing_limit[1])
-                check(q, ~clear, "the height order of cables is not clear")
-                x = p.points.c[0][pieces[-e], :, 2, -e]
-                rise = (x[2 * p.clasps] - x[2 * p.behind]) * upper
-                floor = rise if contact else rise - upper * near + p.crossing_limit[1]
-                sign[pieces], least[pieces] = upper, np.where(apart, -BIG, floor)
-                check(q, contact and ~(np.abs(near) <= SAG_TOL), "cables do not touch")
-                check(q, lifted and upper != order, "a cable is lifted through another one")
-                order = upper if lowered else 0.0 * upper
-            if before == ROLLING:
-                half_crossings[i, j, q + 1] -= sense
-        elif state == BENT:
-            _, first, last = bent_orders(p, run)
-            check(q, (before != ROLLING) & ((number != 0.0) | (order != 0.0)), "linked cables bend")
-            check(q, (before == ROLLING) & (first != order), "cables are lifted through each other")
-            check(q, (after == ROLLING) & (last == 0.0), "the height order of cables is not clear")
-            np.subtract.at(half_crossings[..., q + 1], (i, j), sense * (before == ROLLING))
-            order = last * (after == ROLLING)
-        elif state == ROLLING:
-            np.add.at(half_crossings[..., run[-1] + 1], (i, j), np.where(linked, 0.0, order))
-            sense, order, wrong = rolled(p, run, linked, sense, order, before, after)
-            sign[run] = sense
-            for each, text in wrong:
-                check(q, each, text)
-        elif state == "hitched" and before not in ("", ROLLING):
-            sense = number
-    return faults, sign, least
+    def follow(self) -> None:
+        """Follow all runs, and add half crossings on the way."""
+        for run in runs_of_states(self.p):
+            before = self.half_crossings[*self.neighbours, : run.pieces[0] + 1]
+            number = np.sum(before, axis=-1) / (1 + self.p.two)
+            linked = np.abs(number) == 1.0
+            if run.state == LAID:
+                self.lay(run, linked)
+            elif run.state == BENT:
+                self.bend(run, number)
+            elif run.state == ROLLING:
+                self.roll(run, linked)
+            elif run.state == "hitched" and run.before not in ("", ROLLING):
+                self.sense = number
+
+    def check(self, run: Run, wrong: Any, text: str) -> None:
+        """Note a fault of a run."""
+        self.faults.append((float(self.p.breaks[run.pieces[0]]), bool(np.any(wrong)), text))
+
+    def lay(self, run: Run, linked: Mask) -> None:
+        """Follow cables that are laid, lifted and moved."""
+        touching = linked | (self.order != 0.0)
+        self.check(run, (run.before != ROLLING) & touching, "linked cables are laid")
+        for vertical, part in groupby(run.pieces.tolist(), lambda q: bool(self.p.vertical[q])):
+            self.move_laid(run, [*part], vertical)
+        if run.before == ROLLING:
+            self.half_crossings[*self.neighbours, run.pieces[0] + 1] -= self.sense
+
+    def move_laid(self, run: Run, pieces: list[int], vertical: bool) -> None:
+        """Follow laid cables on pieces on which they all move vertically, or none does."""
+        p = self.p
+        lifted = run.before == ROLLING and pieces[0] == run.pieces[0]
+        lowered = run.after == ROLLING and pieces[-1] == run.pieces[-1]
+        touch = lifted or lowered
+        self.check(run, touch and (lowered == lifted or not vertical), "touching cables move")
+        if not vertical:
+            return
+        at_start = crossing_heights(p, pieces[0], 0)
+        at_end = crossing_heights(p, pieces[-1], 1)
+        near, far = (at_start, at_end) if lifted else (at_end, at_start)
+        upper = np.sign(np.nan_to_num(far))
+        apart = np.isnan(far) & (not touch)
+        clear = apart | (np.abs(far) >= p.crossing_limit[1])
+        self.check(run, ~clear, "the height order of cables is not clear")
+        heights = p.points.c[0][..., 2, :]
+        z = heights[pieces[0], :, 0] if lifted else heights[pieces[-1], :, -1]
+        rise = (z[2 * p.clasps] - z[2 * p.behind]) * upper
+        least = rise if touch else rise - upper * near + p.crossing_limit[1]
+        self.sign[pieces] = upper
+        self.least[pieces] = np.where(apart, -BIG, least)
+        self.check(run, touch and ~(np.abs(near) <= SAG_TOL), "cables do not touch")
+        self.check(run, lifted and upper != self.order, "a cable is lifted through another one")
+        self.order = upper if lowered else 0.0 * upper
+
+    def bend(self, run: Run, number: Array) -> None:
+        """Follow two cables that bend around an object."""
+        _, first, last = bent_orders(self.p, run.pieces)
+        rolled_before = run.before == ROLLING
+        rolls_after = run.after == ROLLING
+        linked = (number != 0.0) | (self.order != 0.0)
+        self.check(run, (not rolled_before) & linked, "linked cables bend")
+        through = rolled_before & (first != self.order)
+        self.check(run, through, "cables are lifted through each other")
+        self.check(run, rolls_after & (last == 0.0), "the height order of cables is not clear")
+        later = self.half_crossings[..., run.pieces[0] + 1]
+        np.subtract.at(later, self.neighbours, self.sense * rolled_before)
+        self.order = last * rolls_after
+
+    def roll(self, run: Run, linked: Mask) -> None:
+        """Follow pairs that roll by half a turn."""
+        crossed = np.where(linked, 0.0, self.order)
+        np.add.at(self.half_crossings[..., run.pieces[-1] + 1], self.neighbours, crossed)
+        self.sense, self.order, wrong = rolled(self.p, run, linked, self.sense, self.order)
+        self.sign[run.pieces] = self.sense
+        for mask, text in wrong:
+            self.check(run, mask, text)
 
 
 def interlacing(p: Plan) -> Iterator[Row]:
@@ -255,11 +302,13 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     linked = np.full(len(p.clasps), float(tied))
     half_crossings[i, j, 0] = linked * (1 + p.two)
     if np.any(laid):
-        faults, sense, _ = replay(p, half_crossings, linked, 0.0 * linked)
+        replay = Replay(p, half_crossings, linked)
+        replay.follow()
+        yield from replay.faults
         s = Spans.of(p, p.state == ROLLING, range(len(p.clasps)), p.labels[p.V])
-        row = prove("roll 1 min", 0.0, s, partial(past_roll, sense=sense))
-        past = row.verdict != "proven", f"the pair at {row.where} rolls past lying across"
-        yield from (*faults, (row.time, *past))
+        row = prove("roll 1 min", 0.0, s, partial(past_roll, sense=replay.sign))
+        past = f"the pair at {row.where} rolls past lying across"
+        yield row.time, row.verdict != "proven", past
     count = np.cumsum(half_crossings, axis=-1)
     numbers = np.array([CROSSINGS.get(state, -1) for state in p.state]) * (1 + p.two)
     expected = np.where(p.clasped[..., None], numbers, 0)

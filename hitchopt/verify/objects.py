@@ -207,71 +207,98 @@ def loaded_grip(p: Plan, b: int) -> Mask:
 
 def gripped(p: Plan, b: int) -> Iterator[Row]:
     """Prove that edges around a gripped body hold it, balance it, and are tangent to it."""
-    body, stem, on, cables = p.bodies[b], p.bodies[b].stem, p.grip[b], range(p.n)
-    arms, radius = norm(stem.core - stem.centroid), float(np.max(norm(stem.core))) + stem.radius
-    turning = (np.max(arms) + stem.radius) ** 2 / (stem.radius or np.min(arms))
-    q, contacts = p.hold_start[b], p.edges[1:3].ravel()
-    start = to_frame(p.poses.c[0][q, b, None, :, 0], p.points.c[0][q, ..., 0][:, contacts])
-    tangent = normalize(start[..., :2] - stem.centroid)[..., ::-1] * [-1.0, 1.0]
+    grip = Grip(p, b)
+    name = [p.bodies[b].name]
+    loaded = Spans.of(p, loaded_grip(p, b), [0], name)
+    gripping = Spans.of(p, p.grip[b], [0], name)
+    edges = Spans.of(p, p.grip[b], range(p.n), p.cables)
+    moving = Spans.of(p, p.grip[b] & p.active[b], [0], name)
+    yield prove("grip ratio min", 1.5, loaded, grip.ratio)
+    yield prove("equilibrium ratio max", 5e-3, gripping, grip.residual)
+    yield prove("wrap m max", 3 * WRAP_TOL, edges, grip.wrap_error)
+    yield prove("wrap m max", CONTACT_TOL, moving, grip.rotation)
 
-    def grip_ratio(s: Spans, _: Index) -> Line:
+
+class Grip:
+    """Formulas of edges around body b; contacts are in its frame."""
+
+    def __init__(self, p: Plan, b: int) -> None:
+        self.p = p
+        self.b = b
+        self.body = p.bodies[b]
+        self.stem = p.bodies[b].stem
+        self.contacts = p.edges[1:3].ravel()
+        self.radius = float(np.max(norm(self.stem.core))) + self.stem.radius
+        q = p.hold_start[b]
+        contacts = p.points.c[0][q, ..., 0][:, self.contacts]
+        self.start = to_frame(p.poses.c[0][q, b, None, :, 0], contacts)
+
+    def ratio(self, s: Spans, _: Index) -> Line:
         """Return slip load ``μ Σ T_k e^{-μ' β} θ_k`` over load ``m (b (g + a_z) + α R² / r)``."""
+        p = self.p
         slip = s.zero
-        for k in cables:
+        for k in range(p.n):
             weaker = (p.pulls.on(s, i) * capstan(s, i).inverse() for i in (2 * k, 2 * k + 1))
-            slip = slip + wrap_angle(s, k) * minimum(*weaker) * body.friction
-        a = p.poses.on(s, b, 2)
-        load = (p.load_share.on(s, b) * (a[2] + G) + a[3:].norm() * turning) * body.mass
+            slip = slip + wrap_angle(s, k) * minimum(*weaker) * self.body.friction
+        arms = norm(self.stem.core - self.stem.centroid)
+        turning = (np.max(arms) + self.stem.radius) ** 2 / (self.stem.radius or np.min(arms))
+        a = p.poses.on(s, self.b, 2)
+        weight = p.load_share.on(s, self.b) * (a[2] + G)
+        load = (weight + a[3:].norm() * turning) * self.body.mass
         return slip * maximum(load, 1e-6).inverse()
 
-    def residual(s: Spans, _: Index) -> Line:
+    def residual(self, s: Spans, _: Index) -> Line:
         """Return force and moment residuals over the smallest tension, less ground friction."""
-        lifted, share, centre = p.lifted[b, s.piece], p.load_share.on(s, b), s.world(b, body.centre)
-        a, moment = s.world(b, body.centre, 2).where(lifted), s.zero * UP
-        force = -(a + share * UP * G) * body.mass
-        for k in cables:
+        p = self.p
+        mass = self.body.mass
+        lifted = p.lifted[self.b, s.piece]
+        share = p.load_share.on(s, self.b)
+        centre = s.world(self.b, self.body.centre)
+        a = s.world(self.b, self.body.centre, 2).where(lifted)
+        moment = s.zero * UP
+        force = -(a + share * UP * G) * mass
+        for k in range(p.n):
             leaving, arriving = s.edge(k)
             for end, u in ((0, -leaving.unit()), (1, arriving.unit())):
                 pull = u * s.edge_pull(k)
                 moment = moment + (s.point(p.edges[1 + end, k]) - centre).cross(pull)
                 force = force + pull
-        friction = (-share + 1.0) * (body.friction * body.mass * G)
-        push = concatenate(force[:2], moment[2] * (1.0 / stem.mean_radius)).norm() - friction
+        friction = (-share + 1.0) * (self.body.friction * mass * G)
+        push = concatenate(force[:2], moment[2] * (1.0 / self.stem.mean_radius)).norm() - friction
         standing = maximum(push, force[2].norm()).where(~lifted)
-        flying = maximum(force.norm(), moment.norm() * (1.0 / radius)).where(lifted)
-        tension = maximum(minimum(*(s.edge_pull(k) for k in cables)), MIN_TENSION)
+        flying = maximum(force.norm(), moment.norm() * (1.0 / self.radius)).where(lifted)
+        tension = maximum(minimum(*(s.edge_pull(k) for k in range(p.n))), MIN_TENSION)
         return (flying + standing) * tension.inverse()
 
-    def rotation(s: Spans, _: Index) -> Line:
+    def rotation(self, s: Spans, _: Index) -> Line:
         """Return the mean rotation against the contacts since the start of the hold [m]."""
-        arms = [s.local(b, s.point(int(i)))[:2] - stem.centroid for i in contacts]
+        centroid = self.stem.centroid
+        tangent = normalize(self.start[..., :2] - centroid)[..., ::-1] * [-1.0, 1.0]
+        arms = [s.local(self.b, s.point(int(i)))[:2] - centroid for i in self.contacts]
         turns = sum((x.unit().dot(tangent[s.piece, j]) for j, x in enumerate(arms)), s.zero)
-        return turns.norm() * (radius / len(contacts))
+        return turns.norm() * (self.radius / len(self.contacts))
 
-    def wrap_error(s: Spans, k: Index) -> Line:
+    def wrap_error(self, s: Spans, k: Index) -> Line:
         """Return errors of contacts, and depths of straight parts inside the section."""
-        ends, (leaving, arriving) = [s.local(b, s.point(i)) for i in p.edges[1:3, k]], s.edge(k)
+        stem = self.stem
+        ends = [s.local(self.b, s.point(i)) for i in self.p.edges[1:3, k]]
+        leaving, arriving = s.edge(k)
         bend = norm(np.cross(normalize(leaving.v), normalize(arriving.v)))
         bent = (norm(ends[1].v - ends[0].v) > WRAP_TOL) | (bend > 2.0 * WRAP_TOL)
         errors = [leaving[0] * arriving[1] - leaving[1] * arriving[0]]  # [m²] turns to the left
         for x, edge in zip(ends, s.edge(k), strict=True):
             corner = stem.core[np.argmin(norm(x.v[:, None, :2] - stem.core), axis=1)]
-            gap, rise = (x[:2] - corner).norm() - stem.radius, x[2] - start[s.piece, k, 2:]
+            gap = (x[:2] - corner).norm() - stem.radius
+            rise = x[2] - self.start[s.piece, k, 2:]
             bounds = gap.norm(), rise.norm(), x[2] - stem.upper, -x[2] + stem.lower
             errors += [y.where(bent) for y in bounds]
-            u = s.rotated(b, edge)[:2]
-            valid, n = u.norm().high > WRAP_TOL, u.unit()
+            u = s.rotated(self.b, edge)[:2]
+            valid = u.norm().high > WRAP_TOL
+            n = u.unit()
             for corner in stem.core:
                 to = -x[:2] + corner
                 errors.append((n[0] * to[1] - n[1] * to[0] + stem.radius).where(valid))
         return maximum(*errors)
-
-    yield prove("grip ratio min", 1.5, Spans.of(p, loaded_grip(p, b), [0], [body.name]), grip_ratio)
-    yield prove("equilibrium ratio max", 5e-3, Spans.of(p, on, [0], [body.name]), residual)
-    yield prove("wrap m max", 3 * WRAP_TOL, Spans.of(p, on, cables, p.cables), wrap_error)
-    yield prove(
-        "wrap m max", CONTACT_TOL, Spans.of(p, on & p.active[b], [0], [body.name]), rotation
-    )
 
 
 def steady(p: Plan, b: int) -> Iterator[Row]:

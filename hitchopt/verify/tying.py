@@ -26,7 +26,7 @@ from .arithmetic import (
 )
 from .cables import crossing_parts
 from .catenary import above_floor, catenary_links, lowest_height, own_cable_gap, shift
-from .links import bent_orders, replay
+from .links import Replay, bent_orders
 from .reading import (
     CLASPING,
     DRAWN,
@@ -293,14 +293,13 @@ def laid_cables(p: Plan) -> Iterator[Row]:
     yield prove("cable_length ratio max", 1e-4, s, length_error)
     pairs = Spans.of(p, laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
     yield prove(*p.crossing_limit, pairs, gap)
-    half_crossings = np.zeros((p.n, p.n, len(p.h) + 1))
-    unlinked = np.zeros(len(p.clasps))
-    _, sign, least = replay(p, half_crossings, unlinked, unlinked)
+    replay = Replay(p, np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros(len(p.clasps)))
+    replay.follow()
     s = Spans.of(p, laid & p.vertical, range(len(p.clasps)), p.labels[p.V])
 
     def above(s: Spans, c: Index) -> Line:
         """Return the height of the upper cable over its smallest allowed height."""
         z = s.point(2 * p.clasps[c])[2] - s.point(2 * p.behind[c])[2]
-        return z * sign[s.piece, c, None] - least[s.piece, c, None]
+        return z * replay.sign[s.piece, c, None] - replay.least[s.piece, c, None]
 
     yield prove("laid m min", -POS_TOL, s, above)
