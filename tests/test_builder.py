@@ -204,6 +204,8 @@ def test_a_plan_is_flown_and_exported(plan: ho.Plan, tmp_path: Path) -> None:
     assert list(part.files) == ["setpoints_enu.csv"]
     with pytest.raises(ho.InputError, match=r"perturbations\.gusts"):
         ho.simulate(plan, perturbations={"gusts": 1.0})
+    with pytest.raises(ho.InputError, match=r"write perturbations=\{'wind': 0\.1\}"):
+        ho.simulate(plan, wind=0.1)
 
 
 @pytest.mark.parametrize("second", [[1.1, 0.4, 1.3], [0.1, 0.2, 2.0], [2.0, 0.2, 0.3]])

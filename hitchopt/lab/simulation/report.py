@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
-from hitchopt.errors import InputError, OneLine, Progress
+from hitchopt.errors import UNKNOWN_KEY, InputError, OneLine, Progress
 from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation.departures import DEPARTURES
 from hitchopt.lab.simulation.exported import read_flown
@@ -273,6 +273,9 @@ def simulate(
     check_choice("preset", preset, tuple(PRESETS))
     changes = {} if perturbations is None else perturbations
     _check_names("perturbations", changes, vars(CALM))
+    for name in settings.keys() & vars(CALM).keys():
+        remedy = f"write perturbations={{{name!r}: {settings[name]!r}}}"
+        raise InputError(name, settings[name], UNKNOWN_KEY, remedy)
     _check_names("settings", settings, vars(Settings()))
     is_perturbed = flag("perturbed", perturbed)
     options = settings_of(preset, perturbed=is_perturbed, **settings, **changes)
@@ -289,7 +292,7 @@ def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> No
         raise InputError(key, options, "a dict", f"use the keys {', '.join(names)}")
     for name in options.keys() - names.keys():
         remedy = closest_word(str(name), [*names])
-        raise InputError(f"{key}.{name}", options[name], "omitted", remedy)
+        raise InputError(f"{key}.{name}", options[name], UNKNOWN_KEY, remedy)
 
 
 def _cables(flight: SimulatedFlight) -> Sequence[object]:
