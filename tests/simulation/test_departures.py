@@ -57,7 +57,7 @@ def test_drones_beyond_the_stated_tracking_errors_fail(
     assert kinds(flight) == ([("off", ("r1",), pytest.approx(0.51))] if fails else [])
     if fails:
         (failure,) = departures(flight)
-        assert f"r1 is {100 * np.linalg.norm(off):.3g} cm off at t = 0.51 s" in failure.words
+        assert f"r1 is {100 * np.linalg.norm(off):.3g} cm off at t = 0.51 s (hold)" in failure.words
         assert failure in judge(flight).failures
 
 

@@ -144,6 +144,11 @@ class _TeamInFlight:
         """Positions of the drones (samples, 2n, 3) [m]."""
         return self.flight.record.drones[:, self.drones]
 
+    def _phase(self, row: int) -> str:
+        """Return the name of the plan's phase at a row of the record."""
+        piece = self.part.pieces[self.flight.record.index[row]]
+        return self.motion.phases[self.motion.phase_of_piece[piece]].name
+
     def off(self) -> Iterator[Failure]:
         """Yield drones that are farther from their planned positions than the tracking errors."""
         record, tube = self.flight.record, self.motion.requirements.limits.tube
@@ -155,11 +160,11 @@ class _TeamInFlight:
         scaled = length(errors / np.array([1.0, 1.0, tube.ratio]))
 
         def words(row: int, drone: int) -> str:
-            """Return the error and its time."""
+            """Return the error, its time and phase."""
             error = 100.0 * float(length(errors[row, drone]))
             return (
-                f"{self.names[drone]} is {error:.3g} cm off at t = {t[row]:.2f} s, more than "
-                f"limits.tracking ({tube})"
+                f"{self.names[drone]} is {error:.3g} cm off at t = {t[row]:.2f} s "
+                f"({self._phase(rows[row])}), more than limits.tracking ({tube})"
             )
 
         yield from _failures(OFF, self.names, t, scaled - tube.level, words)
