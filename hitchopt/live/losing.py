@@ -258,7 +258,7 @@ def _place(flight: Flight, robot: str) -> _Place:
         for cable, label in enumerate(flown.motion.team.labels)
     }
     if robot not in places:
-        raise InputError("lose", robot, f"one of {', '.join(places)}", "name a robot")
+        raise InputError("lose", robot, f"one of {', '.join(sorted(places))}", "name a robot")
     place = places[robot]
     team = flight.teams[place.team].motion.team
     if place.cable not in Losses.of(team.layout).robots:

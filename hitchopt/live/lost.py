@@ -103,7 +103,7 @@ class Reactions:
         names = self.motion.team.drone_names
         if drone not in names:
             raise InputError(
-                "drone", drone, f"one of {', '.join(motion.team.listed_names)}", "name a drone"
+                "lose", drone, f"one of {', '.join(motion.team.listed_names)}", "name a drone"
             )
         if nonnegative("t", time) > motion.duration:
             raise InputError(

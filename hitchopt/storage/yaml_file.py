@@ -104,6 +104,8 @@ def read_text(path: str | Path) -> tuple[str, str]:
                 data = file.read(MAX_BYTES + 1)
         except FileNotFoundError:
             raise FileError(f"{name}: no such file; check the path") from None
+        except IsADirectoryError:
+            raise FileError(f"{name}: is a directory; name the YAML file of a problem") from None
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             reason = getattr(error, "strerror", None) or str(error)
             raise FileError(f"{name!r}: cannot be read ({reason}); name a readable file") from None

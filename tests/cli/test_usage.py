@@ -67,7 +67,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
             f"\nerror: {FAULTY}:8:23: limits.jerk = 0: must be greater than 0; use",
         ),
         ("solve nowhere.yaml", "error: nowhere.yaml: no such file"),
-        ("solve .", "Is a directory"),
+        ("solve .", ".: is a directory; name the YAML file of a problem"),
         ("check nowhere", 'error: No plan in "nowhere": name a directory that hitchopt solve -o'),
         ("simulate .", 'error: No plan in ".": name a'),
         ("init --example triangl", "must be an example's name; did you mean triangle?"),

@@ -342,7 +342,7 @@ def test_a_lost_drone_too_heavy_for_its_partner_has_no_reaction() -> None:
     with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a drone's thrust"):
         Reactions(ho.solve(start, ho.Hold(2.0)).motion).plan("q1", 1.0)
     for drone, time, words in (
-        ("d7", 0.5, "one of q0, r0"),
+        ("d7", 0.5, "lose = 'd7': must be one of q0, r0"),
         ("q0", 1e3, "choose a time within the plan"),
     ):
         with pytest.raises(ho.InputError, match=words):

@@ -117,7 +117,7 @@ def test_large_files_and_paths_that_are_no_files_are_refused(tmp_path: Path) -> 
     for wrong, words in (
         (path, r"larger than the \d+ bytes"),
         (tmp_path / "missing.yaml", "no such file; check the path"),
-        (tmp_path, r"cannot be read \(Is a directory\)"),
+        (tmp_path, r"is a directory; name the YAML file"),
         ("a\0b", r"cannot be read \(.*embedded null \w+.*\)"),
     ):
         with pytest.raises(FileError, match=words):

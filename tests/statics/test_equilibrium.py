@@ -22,7 +22,7 @@ from hitchopt.lab.statics.equilibrium import Equilibrium, conditions_of, samples
 from hitchopt.lab.statics.files import draw_statics
 from hitchopt.lab.statics.tolerance import ErrorSize, Tolerance, taut_times
 from hitchopt.motion.loads import sags
-from hitchopt.motion.motion import CableState, Phase
+from hitchopt.motion.motion import CableState, Phase, concatenated
 from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
@@ -231,7 +231,13 @@ def test_times_without_a_hitch_are_refused() -> None:
     (hold,) = motion.phases
     free = dataclasses.replace(motion, phases=(dataclasses.replace(hold, state=CableState.FREE),))
     words = r"t = 1\.0: must be within a hitch: never in this plan"
-    for plan, t, message in ((free, 1.0, words), (motion, -1.0, r"t = -1\.0")):
+    later = concatenated([motion, motion, free])  # 2 s each, the last one untied
+    spans = r"t = 5\.0: must be within a hitch: 0 to 4 s; see its phases"
+    for plan, t, message in (
+        (free, 1.0, words),
+        (motion, -1.0, r"t = -1\.0"),
+        (later, 5.0, spans),
+    ):
         with pytest.raises(ho.InputError, match=message):
             ho.equilibrium(plan, t)
 

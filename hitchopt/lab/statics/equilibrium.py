@@ -27,7 +27,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from hitchopt.support import Feature, Neighbour, unsupported
-from hitchopt.values import Array, as_array, check_instance, plain
+from hitchopt.values import Array, as_array, check_instance, plain, true_runs
 from hitchopt.values.fields import Key, keys_of
 from hitchopt.values.units import AXIAL_FORCE, FRICTION, STIFFNESS
 
@@ -252,7 +252,9 @@ def samples_of(
         raise unsupported(Feature.STATICS, Neighbour.SINGLE_DRONES)
     states = states_at(motion, t)
     if not np.all(states.formed):
-        spans = [f"{p.start:g} to {p.end:g} s" for p in motion.phases if p.formed]
+        formed = [p.formed for p in motion.phases]
+        runs = [(motion.phases[i], motion.phases[j - 1]) for i, j in true_runs(np.array(formed))]
+        spans = [f"{first.start:g} to {last.end:g} s" for first, last in runs]
         bound = f"within a hitch: {', '.join(spans) or 'never in this plan'}"
         raise InputError("t", float(states.t[~states.formed].flat[0]), bound, "see its phases")
     carrying = np.any(states.load_share > 0.0, axis=-1)
