@@ -328,7 +328,7 @@ class Moving:
 
     @lazy
     def boxes(self) -> tuple[Array, Array]:
-        """Bounding boxes (2, 3, pieces, bodies) of the bodies of each group.
+        """Bounding boxes (2, 3, bodies, pieces) of the bodies of each group.
 
         They are relative to the mean position: common motion changes no distance.
         """
@@ -339,7 +339,7 @@ class Moving:
             # No cable hangs deeper than one that leads straight down and up again.
             heights = (self.first - mean_position)[:, :, :, 2]
             height_sum = np.sum(np.min(heights, axis=-1), axis=-1)
-            first[0, 2] = np.minimum(first[0, 2], 0.5 * (height_sum - self.lengths))
+            first[0, 2] = np.minimum(first[0, 2], 0.5 * (height_sum - self.lengths).T)
         second = first if self.second is None else _boxes(self.second - mean_position)
         if self.height_ratio != 1.0:
             first[:, 2] /= self.height_ratio
@@ -356,12 +356,22 @@ class Moving:
     def gaps(self, pairs: Pairs) -> Array:
         """Return lower bounds (pieces, pairs) [m] of distances, from the boxes of pairs."""
         boxes, other_boxes = self.boxes
-        lower, upper = boxes.take(pairs.first, axis=3)
-        other_lower, other_upper = other_boxes.take(pairs.second, axis=3)
+        lower, upper = boxes
         shape_lower, shape_upper = self.extent[..., None, None]
-        offsets = np.maximum(lower - other_upper - shape_upper, other_lower - upper + shape_lower)
-        np.maximum(offsets, 0.0, out=offsets)
-        gaps: Array = np.sqrt(np.add.reduce(offsets * offsets))
+        grown_lower = lower - shape_upper
+        grown_upper = upper - shape_lower
+        other_lower, other_upper = other_boxes
+        squares = np.zeros((len(pairs), lower.shape[-1]))
+        for axis in range(3):  # arrays of all three would not fit into the caches
+            offsets = grown_lower[axis].take(pairs.first, axis=0)
+            offsets -= other_upper[axis].take(pairs.second, axis=0)
+            opposite = other_lower[axis].take(pairs.second, axis=0)
+            opposite -= grown_upper[axis].take(pairs.first, axis=0)
+            np.maximum(offsets, opposite, out=offsets)
+            np.maximum(offsets, 0.0, out=offsets)
+            offsets *= offsets
+            squares += offsets
+        gaps = np.ascontiguousarray(np.sqrt(squares).T)
         if self.active is not None:
             gaps[~self.active[:, pairs.first]] = np.inf
         return gaps
@@ -395,8 +405,8 @@ class Moving:
 
 
 def _boxes(corners: Array) -> Array:
-    """Return boxes (2, 3, pieces, bodies) of corners (pieces, bodies, k, 3, degree + 1) [m]."""
-    points = corners.transpose(2, 4, 3, 0, 1).reshape(-1, 3, *corners.shape[:2])
+    """Return boxes (2, 3, bodies, pieces) of corners (pieces, bodies, k, 3, degree + 1) [m]."""
+    points = corners.transpose(2, 4, 3, 1, 0).reshape(-1, 3, *corners.shape[1::-1])
     return np.array([np.minimum.reduce(points), np.maximum.reduce(points)])
 
 
@@ -460,7 +470,7 @@ def _listed(moving: Moving, reach: float, depth: int | None = None) -> Listed:
 
     There are never too many for a single piece at a ``depth`` that is not halved again.
     """
-    first, others = (Boxes(box[0].min(axis=1).T, box[1].max(axis=1).T) for box in moving.boxes)
+    first, others = (Boxes(box[0].min(axis=2).T, box[1].max(axis=2).T) for box in moving.boxes)
     reach = (reach + moving.margin) * (1.0 + SLACK)
     reach += float(np.max(np.linalg.norm(moving.extent, axis=-1)))
     move_far = bool(np.median(first.sizes) > FAR * reach)
@@ -504,7 +514,7 @@ def _nearest_neighbours(moving: Moving, attained: Callable[[], float]) -> Iterat
 
     middle = len(moving.first) // 2
     part = moving.part(middle, middle + 1)
-    centres, other_centres = (boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes)
+    centres, other_centres = (boxes[..., 0].mean(axis=0).T for boxes in part.boxes)
     _, neighbours = cKDTree(other_centres).query(centres, k=min(NEIGHBOURS, moving.count))
     second = neighbours.reshape(len(centres), -1)
     first = np.repeat(np.arange(len(centres)), second.shape[1])

@@ -12,7 +12,7 @@ from math import comb
 
 import numpy as np
 
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 MAX_PAIRS = 2**18  # Maximum pairs of coefficients multiplied at a time: they fit into the caches
 
@@ -28,14 +28,20 @@ def degree(coefficients: Array) -> int:
 
 def basis(x: Array, order: int) -> Array:
     """Return the Bernstein polynomials of degree ``order`` at x (…), as (…, order + 1)."""
-    x = np.asarray(x, dtype=np.float64)[..., None]
-    powers = np.empty((2, *x.shape[:-1], order + 1))
-    powers[..., 0] = 1.0
-    powers[0, ..., 1:], powers[1, ..., 1:] = x, 1.0 - x
-    np.multiply.accumulate(powers, axis=-1, out=powers)  # x**i is ten times as slow
-    values: Array = powers[0] * powers[1, ..., ::-1]
+    of_x, of_rest = _powers(np.asarray(x, dtype=np.float64), order)
+    values: Array = of_x * of_rest[..., ::-1]
     values *= binomials(order)
     return values
+
+
+def _powers(x: Array, order: int) -> Array:
+    """Return the powers 0 … order of x (…) and of 1 - x, as (2, …, order + 1)."""
+    powers = np.empty((2, *x.shape, order + 1))
+    powers[..., 0] = 1.0
+    powers[0, ..., 1:] = x[..., None]
+    powers[1, ..., 1:] = 1.0 - x[..., None]
+    np.multiply.accumulate(powers, axis=-1, out=powers)  # x**i is ten times as slow
+    return powers
 
 
 def derivative_basis(x: Array, order: int, derivative: int) -> Array:
@@ -179,6 +185,27 @@ def restrict(coefficients: Array, lower: Array | float, upper: Array | float) ->
     return np.ascontiguousarray(c.T)
 
 
+def restrictions(lower: Array, upper: Array, order: int) -> Array:
+    """Return the matrices (spans, order + 1, order + 1) of ``restrict`` to [lower, upper] (spans,).
+
+    A row of coefficients times a matrix is the row of coefficients on its span.
+    """
+    start = lower / np.where(upper > 0.0, upper, 1.0)
+    to_upper, backward = _leading_parts(np.array([upper, 1.0 - start]), order)
+    from_start = np.ascontiguousarray(backward[:, ::-1, ::-1])
+    matrices: Array = to_upper @ from_start
+    return matrices
+
+
+def _leading_parts(x: Array, order: int) -> Array:
+    """Return the matrices (…, order + 1, order + 1) that restrict to [0, x] for x (…)."""
+    exponents, weights = _leading_weights(order)
+    of_x, of_rest = _powers(x, order)
+    matrices: Array = of_x[..., None] * of_rest[..., exponents]
+    matrices *= weights
+    return matrices
+
+
 def interpolate(values: Array) -> Array:
     """Return the coefficients of the polynomials through (…, m + 1) ``values`` at ``nodes(m)``."""
     return transform(values, _interpolation(int(values.shape[-1]) - 1))
@@ -208,6 +235,15 @@ def lowering(degree: int, order: int) -> Array:
 def binomials(order: int) -> Array:
     """Return row ``order`` of Pascal's triangle (order + 1,)."""
     return _frozen(np.array([comb(order, i) for i in range(order + 1)], dtype=np.float64))
+
+
+@lru_cache
+def _leading_weights(order: int) -> tuple[Indices, Array]:
+    """Return exponents of 1 - x, and factors, of ``_leading_parts`` (order + 1, order + 1)."""
+    index = np.arange(order + 1)
+    exponents = np.maximum(index - index[:, None], 0)
+    columns = [np.pad(binomials(i), (0, order - i)) for i in range(order + 1)]
+    return _frozen(exponents), _frozen(np.stack(columns, axis=-1))
 
 
 @lru_cache

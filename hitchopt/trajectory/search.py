@@ -46,6 +46,9 @@ TIE = 1e-9
 
 WHOLE = np.array([[0.0], [1.0]])  # Start and end of whole pieces
 
+MAX_MATRICES = 64
+"""Number of spans up to which matrices, the same for all curves, restrict curves to them."""
+
 MAX_CANDIDATES = 32
 """Number of spans of a batch, those with the worst bounds, in which a value is computed."""
 
@@ -88,7 +91,7 @@ class TimeSpans:
         self.source, self.breaks, self.piece, self.item = source, breaks, piece, item
         self.whole, self.points = extent is None, points
         self.extent = WHOLE if extent is None else extent
-        self._weights: dict[int, Array] = {}  # of points, by degree
+        self._weights: dict[int, Array] = {}  # by degree
 
     def __len__(self) -> int:
         return len(self.item)
@@ -151,14 +154,23 @@ class TimeSpans:
         c = table[self.piece if item.ndim == 1 else self.piece[:, None], item]
         if self.whole or c.shape[-1] == 1:
             return c
+        if not self.points and len(self) > MAX_MATRICES:
+            lower, upper = self.extent.reshape(2, -1, *(1,) * (c.ndim - 2))
+            return bernstein.restrict(c, lower, upper)
+        order = c.shape[-1] - 1
+        if order not in self._weights:
+            self._weights[order] = self._weights_of(order)
+        weights = self._weights[order]
+        rows = math.prod(c.shape[1:-1])  # -1 is refused where there are no spans
+        values = c.reshape(len(self), rows, order + 1) @ weights
+        return values.reshape(*c.shape[:-1], weights.shape[-1])
+
+    def _weights_of(self, order: int) -> Array:
+        """Return matrices (spans, order + 1, k) from coefficients on whole pieces to the spans."""
+        lower, upper = self.extent
         if self.points:
-            order = c.shape[-1] - 1
-            if order not in self._weights:
-                self._weights[order] = bernstein.basis(self.extent[0], order)[..., None]
-            values = c.reshape(c.shape[0], -1, order + 1) @ self._weights[order]
-            return values.reshape(*c.shape[:-1], 1)
-        lower, upper = self.extent.reshape(2, -1, *(1,) * (c.ndim - 2))
-        return bernstein.restrict(c, lower, upper)
+            return bernstein.basis(lower, order)[..., None]
+        return bernstein.restrictions(lower, upper, order)
 
 
 S = TypeVar("S", bound=TimeSpans)

@@ -89,6 +89,24 @@ def test_the_worst_of_many_batches_is_the_worst_of_their_parts() -> None:
     assert whole.worst == pytest.approx(parts[index].worst, rel=2e-4)
 
 
+@pytest.mark.parametrize("count", [0, 3, 200])
+def test_spans_read_the_parts_of_curves_that_they_cover(count: int) -> None:
+    """Those of few spans are read by matrices, which are exact at the ends of pieces."""
+    breaks, c = curves(5, 4, 6, 7)
+    vectors = np.stack([c, c[::-1]], axis=2)
+    rng = np.random.default_rng(count)
+    piece, item = rng.integers(0, 4, count), rng.integers(0, 6, count)
+    extent = np.sort(rng.uniform(0.0, 1.0, (2, count)), axis=0)
+    extent[:, :2] = np.array([[0.0], [1.0]])
+    read = TimeSpans(None, breaks, piece, item, extent).read(vectors)
+    assert read.shape == (count, 2, 8)
+    lower, upper = extent[..., None]
+    np.testing.assert_allclose(
+        read, bernstein.restrict(vectors[piece, item], lower, upper), atol=1e-14
+    )
+    np.testing.assert_array_equal(read[:2], vectors[piece, item][:2])
+
+
 def test_masks_select_spans() -> None:
     breaks, c = curves(7, 3, 4, 5)
     mask = np.zeros((3, 4), dtype=bool)
