@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
@@ -16,7 +16,6 @@ from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.distances import GROUND, UNBOUNDED
 from hitchopt.checks.linking import CONTINUITY, DURATION
 from hitchopt.checks.registry import (
-    FLIGHT_REPORTS,
     NAMES,
     PART_REPORTS,
     REPORTS,
@@ -27,7 +26,6 @@ from hitchopt.checks.registry import (
 from hitchopt.checks.rule import CheckRule, FlightReport, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA, TRACKING_RADIUS
-from hitchopt.checks.vertex_errors import VERTEX_ERROR
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
@@ -337,33 +335,52 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
 
     The worst of the parts' bounds is a bound of the whole: joining changes coefficients by units in
     the last place, far less than the margins in every ``worst``. Rules with ``whole`` are evaluated
-    again; for a single part, which has no joints, only duration and stops.
+    again; for a single part, which has no joints, only duration and stops. If the motion states
+    tracking errors, its parts keep wider distances: all but limits of single bodies are evaluated
+    again.
 
     Parameters
     ----------
     motion: the parts in sequence, each starting where the previous one ends.
     parts: their certificates; checks of duration in them are not used.
     """
-    if any(report.limit(motion.requirements) is not None for report in TEAM_REPORTS):
-        return certify(motion)  # parts are certified against wider distances
     flight = Flight.of(motion)
-    by_name = _by_name(motion, parts, [part.limited for part in parts])
+    requirements = motion.requirements
+    limited = [report for report in TEAM_REPORTS if report.limit(requirements) is not None]
+    has_errors = TRACKING_RADIUS in limited
     has_joints = len(parts) > 1
+    by_name = _by_name(motion, parts, [part.limited for part in parts])
+
+    def is_of_parts(rule: CheckRule) -> bool:
+        """Return whether the check of a rule is that of the parts."""
+        if rule is DURATION or (rule.whole and has_joints):
+            return False
+        limit = rule.limit_of(motion)
+        is_same = all(check.limit == limit for check in by_name[rule.name])
+        return not has_errors or (rule.limits_single_bodies and is_same)
+
+    results = TeamResults()
+
+    def reported(report: Report) -> Check | None:
+        """Return the check of a report."""
+        if isinstance(report, FlightReport):
+            return report.check(flight)
+        if report in PART_REPORTS and not has_errors:
+            of_parts = _by_name(motion, parts, [part.checks for part in parts])
+            return worst_of(of_parts[report.name])
+        return report.check(motion, results, GAMMA)
+
     checks = list[Check | None]()
-    for rule in RULES:
-        evaluated = rule.whole and (has_joints or rule is DURATION)
-        checks.append(rule.check(motion) if evaluated else worst_of(by_name[rule.name]))
-
-    def reported() -> Iterator[Check | None]:
-        """Yield the checks of all reports."""
-        by_name = _by_name(motion, parts, [part.checks for part in parts])
-        for report in PART_REPORTS:
-            yield worst_of(by_name[report.name])
-        yield VERTEX_ERROR.check(motion, {}, GAMMA)
-        for whole in FLIGHT_REPORTS:
-            yield whole.check(flight)
-
-    return _stored(flight, checks, reported)
+    with value_cache():
+        for rule in RULES:
+            if is_of_parts(rule):
+                checks.append(worst_of(by_name[rule.name]))
+            else:
+                results[rule] = rule.span_results(motion)
+                checks.append(worst_of(result.check for result in results[rule]))
+        checks += map(reported, limited)
+    others = [report for report in REPORTS if report not in limited]
+    return _stored(flight, checks, lambda: map(reported, others))
 
 
 def _by_name(

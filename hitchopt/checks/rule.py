@@ -236,6 +236,11 @@ class CheckRule(Quantity):
         """Pairs of kinds of bodies that keep a distance."""
         return tuple(bodies for bodies in self.bodies if len(bodies) == 2)
 
+    @property
+    def limits_single_bodies(self) -> bool:
+        """Return whether it limits bodies, and each of them alone."""
+        return bool(self.bodies) and not self.pairs
+
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""
         states = motion.cable_states

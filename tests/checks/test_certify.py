@@ -334,6 +334,31 @@ def test_merged_certificates_equal_recomputed_ones(
         assert ours[name].time == pytest.approx(anew[name].time, abs=0.05)
 
 
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("tracking", [0.02, ho.Tube(0.02, 0.03)])
+def test_parts_with_wider_distances_give_the_certificate_of_stated_errors(
+    parts: list[Motion], count: int, tracking: float | ho.Tube
+) -> None:
+    """Of a single part to the last bit, and though a part breaks what only planners require."""
+    stated = [replaced(part, tracking=tracking, leg=0.1) for part in parts[:count]]
+    whole = concatenated(stated)
+    wider = [certify(part.replaced(requirements=part.requirements.with_reserve)) for part in stated]
+    anew, ours = certify(whole), merged(whole, wider)
+    assert {"tracking_radius", "separation"} <= {check.name for check in ours.limited}
+    if count == 1:
+        assert ours.checks == anew.checks
+    for mine, other in zip(ours.checks, anew.checks, strict=True):
+        assert (mine.name, mine.limit, mine.holds) == (other.name, other.limit, other.holds)
+        assert mine.worst == pytest.approx(other.worst, rel=1e-4, abs=2e-7)
+    marked = [
+        replace(each, limited=tuple(replace(check, method="marked") for check in each.limited))
+        for each in wider
+    ]
+    of_parts = {row.name for row in merged(whole, marked).limited if row.method == "marked"}
+    assert {"speed", "tilt", "equilibrium"} <= of_parts
+    assert of_parts.isdisjoint({*WIDENED, "tracking_radius"})
+
+
 def test_jumps_between_parts_are_detected(parts: list[Motion]) -> None:
     certificate = of_parts([parts[1], altered(parts[1], "drones", plus(..., 0.01))])
     assert not certificate["tension"].holds  # legs turn at once, and thrusts with them
