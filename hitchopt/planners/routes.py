@@ -208,7 +208,7 @@ def plan_like(
     It is on the same route, moved to its own ends: of straight lines by the same clock as well,
     stretched or shortened to the limits. Parameters are those of ``plan_along``.
     """
-    from hitchopt.planners.morph.morph import straight_path
+    from hitchopt.planners.morph.morph import check_loads, clear_straight_path
     from hitchopt.planners.morph.retargeting import (
         EarlierRoute,
         motion_by_earlier_clock,
@@ -220,9 +220,10 @@ def plan_like(
         phase = replace(phase, remark="on the route of an earlier plan")
         path = EarlierRoute.of(earlier).path(task.hitch, end)
         return require_certified(plan_along(task, path, end, phase, duration))
-    path = straight_path(task.hitch, end, task.requirements)
+    path = clear_straight_path(task.hitch, end, task.requirements)
     motion = motion_by_earlier_clock(path, progress, task.requirements)
     if motion is None or duration is not None:
+        check_loads(path, task.requirements.limits)
         return require_certified(plan_along(task, path, end, phase, duration))
     phase = replace(phase, remark="by the clock of an earlier plan")
     return require_certified(_plan_of(task, path, motion, end, phase))

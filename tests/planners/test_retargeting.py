@@ -96,3 +96,14 @@ def test_plans_of_other_teams_are_refused(turned: ho.Plan) -> None:
     three = ho.Hitch.spread(ho.Team(robots=3, cable_length=2.4), ho.regular_polygon(3, 1.0))
     with pytest.raises(ho.InputError, match=r"like = .* a plan of a hitch of 3 robots"):
         ho.morph(three, ho.regular_polygon(3, 0.9), like=turned)
+
+
+def test_goals_that_no_drone_can_hover_at_are_refused_as_without_an_earlier_plan() -> None:
+    first = ho.morph(START, START.polygon.translated([0.4, 0.0]))
+    limits = ho.Limits(tilt_deg=5.0)
+    errors = list[ho.InfeasibleError]()
+    for like in (None, first):
+        with pytest.raises(ho.InfeasibleError, match="tilt") as caught:
+            ho.morph(START, START.polygon.translated([0.4, 0.01]), limits=limits, like=like)
+        errors.append(caught.value)
+    assert errors[0].violations == errors[1].violations

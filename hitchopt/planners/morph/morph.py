@@ -41,11 +41,16 @@ def straight_path(start: Hitch, end: Hitch, requirements: Requirements) -> Path:
     Raises InfeasibleError if the polygon loses its convexity, a leg vanishes, or forces at rest
     exceed limits.
     """
-    straight = Path.straight(start, end)
-    check_shapes(straight)
-    path = with_legs_clear(straight, requirements)
+    path = clear_straight_path(start, end, requirements)
     check_loads(path, requirements.limits)
     return path
+
+
+def clear_straight_path(start: Hitch, end: Hitch, requirements: Requirements) -> Path:
+    """Return ``straight_path``, forces at rest unchecked."""
+    straight = Path.straight(start, end)
+    check_shapes(straight)
+    return with_legs_clear(straight, requirements)
 
 
 MIN_ANGLE = math.radians(0.01)
