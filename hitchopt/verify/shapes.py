@@ -11,6 +11,9 @@ import numpy as np
 
 from .arithmetic import FAR, TINY, Array, Line, maximum, minimum, norm, normalize
 
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+SECTIONS = 50  # golden sections: the last one is 4e-11 of the first
+
 
 def closest(a: Array, b: Array, c: Array, d: Array) -> Array:
     """Return the shortest vectors (m, d) from segments c d to segments a b."""
@@ -77,13 +80,14 @@ class Slab:
     def depth(self, x: Array) -> Array:
         """Return a lower bound of the depth of points (…, 2) inside; negative outside."""
         to = x[..., None, :] - self.core
-        inside = -np.max(np.sum(to * self.normals, -1), -1)
+        inside = -np.max(np.einsum("...ki,ki->...k", to, self.normals), -1)
         return -norm(to[..., 0, :]) + self.radius if self.round else inside
 
     def gap_vectors(self, x: Array) -> Array:
         """Return the shortest vectors to points (m, 3)."""
         to = x[:, None, :2] - self.core
-        share = np.sum(to * self.sides, -1) / np.maximum(np.sum(self.sides**2, -1), TINY)
+        along = np.einsum("mki,ki->mk", to, self.sides)
+        share = along / np.maximum(np.sum(self.sides**2, -1), TINY)
         gaps = to - np.clip(share, 0.0, 1.0)[..., None] * self.sides
         gap = gaps[np.arange(len(x)), np.argmin(norm(gaps), axis=1)]
         beyond = np.maximum(norm(gap) - self.radius, 0.0) * (self.depth(x[:, :2]) < 0.0)
@@ -103,6 +107,32 @@ class Slab:
         """Return the distance to a point, large where the slab is above it by a ``lead``."""
         return self.gap(x).unless(-x[2] + self.lower - lead)
 
+    def _nearest_share(self, a: Array, b: Array) -> Array:
+        """Return where segments from a to b (m, 3) are nearest, from 0 to 1 (m, 1).
+
+        Distances from a convex body are convex: golden sections find the smallest one.
+        """
+        low = np.zeros((len(a), 1))
+        high = np.ones((len(a), 1))
+
+        def size(x: Array) -> Array:
+            return norm(self.gap_vectors(a + x * (b - a)))[:, None]
+
+        x = high - GOLDEN * (high - low)
+        y = low + GOLDEN * (high - low)
+        at_x = size(x)
+        at_y = size(y)
+        for _ in range(SECTIONS):
+            later = at_x > at_y
+            low = np.where(later, x, low)
+            high = np.where(later, high, y)
+            step = GOLDEN * (high - low)
+            other = np.where(later, low + step, high - step)
+            at_other = size(other)
+            x, y = np.where(later, y, other), np.where(later, other, x)
+            at_x, at_y = np.where(later, at_y, at_other), np.where(later, at_other, at_x)
+        return low
+
     def gap(self, *points: Line, ratio: float = 1.0) -> Line:
         """Return the distance to the convex hull of points, by its edges.
 
@@ -113,13 +143,8 @@ class Slab:
             return flat.gap(*(x.flat(ratio) for x in points))
         gaps = []
         for a, b in pairwise(points if points[1:] else points * 2):
-            low, high = np.zeros((len(a.v), 1)), np.ones((len(a.v), 1))
-            for _ in range(60 if a is not b else 0):
-                x = low + (high - low) / 3.0
-                y = high - (high - low) / 3.0
-                one, two = (norm(self.gap_vectors(a.v + z * (b.v - a.v))) for z in (x, y))
-                low, high = np.where(one > two, x.T, low.T).T, np.where(one > two, high.T, y.T).T
-            w = normalize(self.gap_vectors(a.v + low * (b.v - a.v)))
+            share = self._nearest_share(a.v, b.v) if a is not b else np.zeros((len(a.v), 1))
+            w = normalize(self.gap_vectors(a.v + share * (b.v - a.v)))
             most = np.max(w[:, :2] @ self.core.T, -1) + self.radius * norm(w[:, :2])
             most += np.maximum(self.lower * w[:, 2], self.upper * w[:, 2])
             gaps.append(minimum(*(p.dot(w) for p in points)) - most[:, None])
