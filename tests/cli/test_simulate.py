@@ -135,6 +135,9 @@ def test_a_campaign_reports_its_success_rate(solved: Path) -> None:
     result = run("simulate", solved, "-o", "campaign", *options, code=0)
     rate = "1 of 1 flights succeeded: 100.0% (20.7% to 100.0% at 95 %), seeds 7 to 7"
     assert rate in result.stdout
+    assert "mean drone error [cm]" in result.stdout
+    assert "mean tension / planned tension" in result.stdout
+    assert "vertex error" not in result.stdout  # of coarse ropes
     names = {path.name for path in Path("campaign").iterdir()}
     assert names == {"campaign.json", "campaign.png", "runs.csv"}
     varied = read(Path("campaign/campaign.json"))["settings"]["perturbations"]

@@ -26,7 +26,7 @@ from hitchopt.errors import InputError
 from hitchopt.tables import table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     import click
 
@@ -63,16 +63,24 @@ FIGURES = {
     "peak_tension": "largest tension [N]",
     "peak_thrust": "largest thrust [N]",
     "peak_tilt": "largest tilt [°]",
-    "placed": "objects off the plan [m]",
+    "placed": "objects off the plan [cm]",
     "tilted": "tilt of objects [°]",
-    "slipped": "slip of objects [m]",
+    "slipped": "slip of objects [cm]",
 }
+# Of these spreads campaigns show mean and largest value
 SPREADS = {
-    "vertex_error": "vertex errors",
-    "resting": "vertex errors at rest",
-    "moving": "vertex errors in motion",
-    "without_sag": "vertex errors without sag",
-    "tracking": "drone errors",
+    "vertex_error": "vertex error [cm]",
+    "resting": "vertex error while the plan rests [cm]",
+    "moving": "vertex error while vertices move [cm]",
+    "tracking": "drone error [cm]",
+    "tension_ratio": "tension / planned tension",
+}
+DISTRIBUTION_COLUMNS = {
+    "mean": "mean",
+    "deviation": "deviation",
+    "median": "median",
+    "high": "95 % below",
+    "largest": "largest",
 }
 LOSS_ROWS = {
     "lost": "lost",
@@ -457,12 +465,30 @@ def flight_tables(simulation: Simulation) -> str:
     return "\n\n".join([*parts, *_inexact(simulation.settings)])
 
 
-def _figure_heading(name: str) -> str:
-    """Return the heading, with its unit, of a figure of campaigns."""
-    spread, _, statistic = name.rpartition("_")
-    if spread in SPREADS:
-        return f"{SPREADS[spread]}, {statistic} [m]"
-    return FIGURES.get(name, name.replace("_", " "))
+def _campaign_rows(campaign: Campaign) -> Iterator[dict[str, object]]:
+    """Yield the rows of the distributions of a campaign's figures."""
+    figures, measured = campaign.figures, campaign.settings.measures_vertices
+    headings = {
+        f"{name}_{statistic}": f"{statistic} {heading}"
+        for name, heading in SPREADS.items()
+        for statistic in ("mean", "largest")
+        if measured or name not in ERRORS
+    }
+    for name, heading in (headings | FIGURES).items():
+        values = figures.get(name, [])
+        if any(map(math.isfinite, values)):
+            in_cm = "[cm]" in heading
+            yield {"figure": heading} | _distribution(values, in_cm=in_cm)
+
+
+def _distribution(values: Iterable[float], *, in_cm: bool) -> dict[str, object]:
+    """Return the distribution of values, or of lengths [m] in centimetres, by heading."""
+    from hitchopt.lab.sweeps.campaign import Distribution
+
+    unit, digits = (0.01, ".1f") if in_cm else (1.0, ".3g")
+    each = vars(Distribution.of(values)).items()
+    texts = {name: known_text(x / unit, digits=digits) for name, x in each}
+    return _headed(texts, DISTRIBUTION_COLUMNS)
 
 
 def _headed(values: Mapping[str, Any], headings: Mapping[str, str]) -> dict[str, object]:
@@ -555,18 +581,10 @@ def spread_text(spread: Spread, unit: float = 0.01, digits: str = ".1f") -> str:
 
 def _campaign_tables(campaign: Campaign) -> str:
     """Return a campaign's success rate, and tables of figures and first failures."""
-    from hitchopt.lab.sweeps.campaign import Distribution
-
     (low, high), runs = campaign.interval, campaign.runs
     not_simulated, measured = campaign.not_simulated, campaign.settings.measures_vertices
-    rows = [
-        {"figure": _figure_heading(name), **vars(Distribution.of(values))}
-        for name, values in campaign.figures.items()
-        if any(map(math.isfinite, values)) and (measured or not name.startswith(tuple(ERRORS)))
-    ]
     vertices = [
-        {"rest": rest, "vertex": vertex}
-        | {key: 100.0 * x for key, x in vars(Distribution.of(errors)).items()}
+        {"rest": rest, "vertex": vertex} | _distribution(errors, in_cm=True)
         for (rest, vertex), errors in campaign.rests.items()
         if measured
     ]
@@ -580,7 +598,7 @@ def _campaign_tables(campaign: Campaign) -> str:
     parts += [f"flown by: {_flown_by(campaign.settings)}", *_inexact(campaign.settings)]
     if vertices:
         parts.append(table("Mean errors of vertices at rest [cm]", vertices))
-    parts.append(table("All flights", rows))
+    parts.append(table("All flights", _campaign_rows(campaign)))
     if campaign.failures:
         parts.append(table("First failures", campaign.to_dict()["first_failures"]))
     return "\n\n".join(parts)

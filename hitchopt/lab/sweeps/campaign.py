@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -44,7 +45,7 @@ WIDTH = 0.35
 """Half-width of a column of points, over the distance of columns."""
 
 BINS = 20
-"""Number of bars of a histogram."""
+"""Largest number of bars of a histogram, which has about one per square root of flights."""
 
 SHOWN = {
     "tracking_largest": ("largest drone error [cm]", 0.01),
@@ -253,22 +254,32 @@ def drawn_campaign(campaign: Campaign) -> Figure:
     figure = style.new_figure(SIZE)
     rests, figures = campaign.rests, campaign.figures
     rows = figure.add_gridspec(2, 1)
-    top = figure.add_subplot(rows[0], ylabel="mean vertex error\nat rest [cm]")
+    accuracy = "" if campaign.settings.measures_vertices else "\n± 1 to 2 cm"
+    top = figure.add_subplot(rows[0], ylabel=f"mean vertex error\nat rest [cm]{accuracy}")
     columns = [100.0 * np.array(errors) for errors in rests.values()]
     for place, errors in enumerate(columns):
         spread = WIDTH * (np.argsort(np.argsort(errors)) / max(len(errors) - 1, 1) - 0.5)
         top.plot(place + spread, errors, ".", color=style.INK, ms=3)
         median = Distribution.of(errors).median
         top.plot([place - WIDTH, place + WIDTH], [median] * 2, color=style.LIMIT_COLOUR)
-    labels = [f"{vertex}\n{rest}" for rest, vertex in rests]
-    top.set_xticks(range(len(labels)), labels, fontsize="small")
+    top.set_xticks(range(len(rests)), [vertex for _, vertex in rests], fontsize="small")
+    names = [rest for rest, _ in rests]
+    for name in dict.fromkeys(names):
+        first, count = names.index(name), names.count(name)
+        if first:
+            top.axvline(first - 0.5, color="0.8", lw=0.8)
+        middle, above = first + 0.5 * (count - 1), top.get_xaxis_transform()
+        top.text(middle, 1.02, name, transform=above, ha="center", fontsize="small")
+    top.set_xlim(-0.5, max(len(rests), 1) - 0.5)
     if columns:
         style.from_zero(top)
     panels = rows[1].subgridspec(1, len(SHOWN))
     for panel, (name, (label, unit)) in enumerate(SHOWN.items()):
         axes = figure.add_subplot(panels[panel], xlabel=label)
         values = np.array(figures.get(name, [])) / unit
-        axes.hist(values[np.isfinite(values)], bins=BINS, color="0.6")
+        finite = values[np.isfinite(values)]
+        bins = min(math.ceil(math.sqrt(len(finite))) + 1, BINS)
+        axes.hist(finite, bins=bins, color="0.6", edgecolor="white")
         axes.set_ylabel("flights" if panel == 0 else "")
         axes.locator_params("y", integer=True)
     rate = f"{campaign.successes} of {len(campaign.runs)} flights succeeded; red: medians"
