@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hitchopt.values import Array
-from hitchopt.verify.arithmetic import Line
-from hitchopt.verify.shapes import Slab, norm
+from hitchopt.verify.arithmetic import Line, norm
+from hitchopt.verify.shapes import Slab
 
 HEXAGON = np.array([[np.cos(a), -np.sin(a)] for a in np.arange(6) * np.pi / 3.0])
 SLABS = {
