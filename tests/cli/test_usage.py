@@ -147,7 +147,7 @@ def test_a_checkout_that_is_not_installed_has_no_version(monkeypatch: pytest.Mon
 
 def test_the_help_says_why_it_has_no_descriptions() -> None:
     assert "python -OO strips all descriptions" in started("-OO", "-m", "hitchopt", "-h").stdout
-    assert "removes all descriptions" not in run("--help", code=0).stdout
+    assert "strips all descriptions" not in run("--help", code=0).stdout
 
 
 MORPH_IN_PYTHON = """
