@@ -147,7 +147,8 @@ class _TeamInFlight:
     def _phase(self, row: int) -> str:
         """Return the name of the plan's phase at a row of the record."""
         piece = self.part.pieces[self.flight.record.index[row]]
-        return self.motion.phases[self.motion.phase_of_piece[piece]].name
+        name: str = self.motion.phases[self.motion.phase_of_piece[piece]].name
+        return name
 
     def off(self) -> Iterator[Failure]:
         """Yield drones that are farther from their planned positions than the tracking errors."""
