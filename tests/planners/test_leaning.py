@@ -321,6 +321,19 @@ def test_over_travels_alternate_along_the_way_and_decay_and_grow_with_friction()
     assert sizes[2] > sizes[1]  # friction stops vertices earlier on their way out than back
 
 
+def test_every_cable_that_slid_slides_back_in_over_travels() -> None:
+    """Also that between two vertices that moved by 0.3 of the largest way."""
+    goal = SLIDING.vertices + [[0.0, 0.17], [-0.05, -0.01], [0.05, -0.01]]
+    plan = slid(Morph(ho.ConvexPolygon(goal)))
+    end = plan.phases[0].end
+    legs = plan.motion.legs
+    slides = legs.at(end) - legs.at(0.0)
+    settling_legs = legs.at(np.linspace(end, plan.duration, 2_001)) - legs.at(end)
+    assert np.min(np.abs(slides)) > 0.02
+    assert np.all(np.max(settling_legs, axis=0) > 0.005)
+    assert np.all(np.min(settling_legs, axis=0) < -0.005)
+
+
 def test_a_range_of_friction_needs_no_over_travels_below_its_least(tmp_path: Path) -> None:
     counts = list[int]()
     for friction in (0.1, [0.0, 0.1], [0.1, 0.1]):
