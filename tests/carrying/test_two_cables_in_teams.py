@@ -77,11 +77,20 @@ def test_a_drum_is_tied_carried_and_untied_below_a_triangle(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("other", [problem(reverse=True), problem(-1.0)], ids=["order", "mirror"])
-def test_plans_do_not_depend_on_the_order_of_teams_or_the_side(other: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("other", "differing"),
+    [(problem(reverse=True), set()), (problem(-1.0), {"downwash"})],
+    ids=["order", "mirror"],
+)
+def test_plans_do_not_depend_on_the_order_of_teams_or_the_side(
+    other: dict[str, Any], differing: set[str]
+) -> None:
+    """A mirrored triangle passes above legs of another length: both of a cable differ."""
     here, there = planned_of(problem()), planned_of(other)
     assert there.duration == pytest.approx(here.duration, rel=1e-6)
-    assert worst(there) == pytest.approx(worst(here), rel=5e-3, abs=1e-3)
+    same = worst(here).keys() - differing
+    expected, found = ({name: worst(plan)[name] for name in same} for plan in (here, there))
+    assert found == pytest.approx(expected, rel=5e-3, abs=1e-3)
 
 
 @pytest.mark.slow
