@@ -9,10 +9,14 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import comb
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.values import Array, Indices
+
+Number = TypeVar("Number", np.float64, np.intp)
 
 MAX_PAIRS = 2**18  # Maximum pairs of coefficients multiplied at a time: they fit into the caches
 
@@ -298,6 +302,6 @@ def _interpolation(order: int) -> Array:
     return _frozen(inverse.astype(np.float64))
 
 
-def _frozen(array: Array) -> Array:
+def _frozen(array: NDArray[Number]) -> NDArray[Number]:
     array.setflags(write=False)
     return array
