@@ -410,6 +410,7 @@ def test_what_is_held_errs_with_the_vertices_that_hold_it() -> None:
     assert approach([held], 3.0, hitched=False) == 4.0
 
 
+@pytest.mark.slow
 def test_drones_keep_off_a_held_box_if_both_err() -> None:
     motion = planned("carry_box").motion
     radius = radius_of(motion).worst

@@ -136,6 +136,7 @@ def test_where_legs_lean_there_is_no_way_back() -> None:
         after.seek(0.2)
 
 
+@pytest.mark.slow
 def test_plans_go_back_to_their_start_also_where_drones_swing_about_their_places() -> None:
     team = ho.Team(3, 2.4, tension=0.6, cable_friction=0.1)
     swinging = ho.solve(ho.Hitch.spread(team, TRIANGLE, 1.2), ho.Settle(), team=team)
