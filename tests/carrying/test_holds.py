@@ -112,7 +112,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (plans.drum(mass=0.13), "grip", r"lower objects.drum.mass, or "),
     (steps_of(plans.drum(), ENCLOSED_DRUM, {"grasp": {"object": "drum"}}), "objects.drum.rim",
      "grasp it by: grip"),
-    (LOADED, "equilibrium", "lower objects.drum.mass"),
+    (LOADED, "load", "lower objects.drum.mass"),
 ]  # fmt: skip
 
 
