@@ -284,7 +284,7 @@ def steps(_: Settings, arrays: Arrays) -> None:
 def hinges(_: Settings, arrays: Arrays) -> None:
     """Let both legs of a clasp vanish where they are tied."""
     vertices, drones = arrays["groups/0/vertices"], arrays["groups/0/drones"]
-    drones[-1, 0] = vertices[-1, 0]
+    drones[-1, 0] = vertices[-1, 0, :, -1:]  # of the end, at rest
 
 
 def flutter(_: Settings, arrays: Arrays) -> None:
