@@ -236,7 +236,8 @@ PHRASES: dict[str, Editor | tuple[Editor, ...]] = {
     r"raise the ceiling \(arena\.upper\[2\]\)": move_wall,
     r"move the wall outward \(arena\.\w+\[\d\]\)": move_wall,
     "keep the hitch farther from it": leave_wall,
-    "fly lower": fly(-1.0),
+    "more height": (fly(1.0), move_wall),
+    "fly lower": (fly(-1.0), tie_by(-1.0)),
     "(?:start or )?fly higher above the floor": fly(1.0),
     "place the drones farther apart": place(1.0, robots=True, drones=True),
     "place the robots farther apart": place(1.0, robots=True, drones=False),
@@ -314,7 +315,8 @@ def follow(data: Data, phrase: re.Match[str], violation: Violation, edit: Editor
         edited = copy.deepcopy(data)
         edit(Advice(edited, phrase, violation, size))
         after = worst(refusal(edited), violation.constraint)
-        if after is None or not np.isclose(after.value, violation.value, rtol=1e-6, atol=1e-9):
+        # Legs that share slack evenly are searched: values of like problems differ by 1e-4
+        if after is None or not np.isclose(after.value, violation.value, rtol=2e-4, atol=1e-9):
             break
         if after.limit != violation.limit:
             break
