@@ -400,7 +400,7 @@ def test_results_are_one_json_object_and_slow_commands_report_progress() -> None
     assert [phase["name"] for phase in solved["phases"]] == ["morph", "hold"]
     assert object_of("check out --closest")["certificate"] == solved["certificate"]
     assert {row["verdict"] for row in object_of("verify out")["verified"]} == {"proven"}
-    exported = object_of("export out --format csv --rate 5")
+    exported = object_of("export out --format csv --rate 20")
     assert exported["parts"][0]["files"] == ["setpoints_enu.csv"]
     assert object_of("lint out-csv")["reports"][0]["sound"] is True
     assert object_of("report out")["file"] == "out/report.html"

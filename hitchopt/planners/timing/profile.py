@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError, RequestError, Violation
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import hanging_forces
@@ -443,7 +443,7 @@ def fastest_profile(
     except ValueError as error:
         if backend := os.environ.get("MPLBACKEND"):  # toppra imports matplotlib, which refuses it
             remedy = f"unset this environment variable, or set it to Agg ({str(error)[:200]})"
-            raise InputError("MPLBACKEND", backend, "installed here", remedy) from error
+            raise RequestError("MPLBACKEND", backend, "installed here", remedy) from error
         raise
 
     if polygons is None:
