@@ -205,14 +205,12 @@ class SeparatedCurves:
         task, best = self.task, _improved(guess, report, effort)
         if not best.clear:
             raise InfeasibleError(list(best.violations), LOCAL_SEARCH)
-        curves = guess.setting.grid.curves(best.coefficients, best.duration)
-        curves = _fastest(guess.setting, curves)
+        curves, closest = _fastest(guess.setting, best)
         if task.duration is not None:
             if curves.duration > task.duration:
                 violations = [_too_short(task, curves.duration, SLOW_ROUTE)]
                 raise InfeasibleError(violations, LOCAL_SEARCH)
             curves = curves.stretched(task.duration / curves.duration)
-        closest = _closest(_checks(task, curves))
         return SeparationResult(curves, closest, self.problem.bound, guess.rule)
 
     def _in_a_row(self, report: Progress) -> SeparationResult:
@@ -469,11 +467,8 @@ class CurveBounds:
 
 def evaluate(setting: Setting, coefficients: Array) -> CurveBounds:
     """Return the evaluation of curves by the certificate's continuous-time bounds."""
-    task = setting.task
-    curves = setting.grid.curves(coefficients, 1.0)
-    duration = _shortest_duration(setting, curves)
-    with rough_bounds():
-        checks = _checks(task, curves.stretched(duration))
+    timed, checks = _timed(setting, setting.grid.curves(coefficients, 1.0))
+    duration = timed.duration
     violations = (
         check.violation(f"at t = {check.time:.4g} s of {duration:.4g} s", REMEDY)
         for check in checks
@@ -487,21 +482,33 @@ def _closest(checks: Sequence[Check]) -> float:
     return next((check.worst for check in checks if check.name == "separation"), math.inf)
 
 
-def _fastest(setting: Setting, curves: PiecewisePolynomial) -> PiecewisePolynomial:
-    """Return clear curves retimed until they are good, or no faster."""
+def _fastest(setting: Setting, best: CurveBounds) -> tuple[PiecewisePolynomial, float]:
+    """Return clear curves retimed until they are good, or no faster, and their separation."""
+    curves = setting.grid.curves(best.coefficients, best.duration)
+    closest = best.closest
     for _ in range(MAX_RETIMINGS):
         if _is_good(setting, curves.duration):
             break
-        faster = if_timed(partial(retimed, setting, curves))
-        if faster is None:
+        on_faster_clock = if_timed(partial(retimed, setting, curves))
+        if on_faster_clock is None:
             break
-        at_once = faster.stretched(1.0 / faster.duration)
-        faster = at_once.stretched(_shortest_duration(setting, at_once))
-        is_clear = all(check.holds for check in _checks(setting.task, faster))
+        faster, checks = _timed(setting, on_faster_clock)
+        is_clear = all(check.holds for check in checks)
         if not is_clear or faster.duration > (1.0 - MIN_GAIN) * curves.duration:
             break
         curves = faster
-    return curves
+        closest = _closest(checks)
+    return curves, closest
+
+
+def _timed(
+    setting: Setting, curves: PiecewisePolynomial
+) -> tuple[PiecewisePolynomial, list[Check]]:
+    """Return curves in their shortest duration, and their checks by rough bounds."""
+    in_a_second = curves.stretched(1.0 / curves.duration)
+    timed = in_a_second.stretched(_shortest_duration(setting, in_a_second))
+    with rough_bounds():
+        return timed, _checks(setting.task, timed)
 
 
 def _shortest_duration(setting: Setting, curves: PiecewisePolynomial) -> float:

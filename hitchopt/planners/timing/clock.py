@@ -286,11 +286,9 @@ class RateRows:
         drones: (4, M, R'), those with rows of acceleration, jerk, thrust and tilt; without loads
             (2, M, R').
         """
-        rows_of_limits = (_acceleration_rows, _jerk_rows, _thrust_rows, _tilt_rows)
-        limits = [_speed_rows(path)]
-        limits += [
-            rows(path, nearest) for rows, nearest in zip(rows_of_limits, drones, strict=False)
-        ]
+        rows_of = (_acceleration_rows, _jerk_rows, _thrust_rows, _tilt_rows)[: len(drones)]
+        of_drones = [rows(path, nearest) for rows, nearest in zip(rows_of, drones, strict=True)]
+        limits = [_speed_rows(path), *of_drones]
         all_parts = (np.concatenate(parts, axis=1) for parts in zip(*limits, strict=True))
         Q, C, b, c, e = (np.ascontiguousarray(part.T) for part in all_parts)
         return cls(Q - C, C, b, c, e)
