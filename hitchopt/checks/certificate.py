@@ -30,6 +30,9 @@ OTHER = "other"
 CUSTOM = "custom rules"
 """Heading of custom rules, which ``hitchopt verify`` does not prove."""
 
+CONTINUOUS, SAMPLED = "continuous", "sampled"
+"""Methods: bounds for all t, or values at samples of time."""
+
 TIE = 1e-9  # relative difference of utilization up to which checks tie
 # Largest margin of a check that binds: planners keep margins, and the search for the worst value
 # adds its own
@@ -59,14 +62,14 @@ class Check(OneLine):
     ----------
     name: such as ``separation``.
     holds: whether ``worst`` satisfies the limit, within ``TOLERANCE``.
-    worst: bound of the quantity for all t, rounding included; an infinity that holds if nothing was
-        evaluated, which is null in files.
+    worst: bound of the quantity for all t, rounding included, if it is not sampled; an infinity
+        that holds if nothing was evaluated, which is null in files.
     limit: in the same unit; None if the quantity is only reported.
     sense: ``min`` if the limit is a lower bound, ``max`` if it is an upper bound.
     unit: such as ``m`` or ``ratio``.
     time: [s], at which the quantity is close to its worst value.
     where: names of the drones, cables or vertices.
-    method: ``continuous`` or ``sampled``.
+    method: CONTINUOUS or SAMPLED.
     gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
     binding: name of the check that determines ``tracking_radius``; empty for other quantities.
     group: heading in the table: one of GROUPS, CUSTOM or OTHER.
@@ -82,7 +85,7 @@ class Check(OneLine):
     unit: str
     time: float
     where: tuple[str, ...]
-    method: str = "continuous"
+    method: str = CONTINUOUS
     gamma: float | None = None
     binding: str = ""
     group: str = OTHER
@@ -108,7 +111,7 @@ class Check(OneLine):
 
         Files cannot store infinities and nan: they become the largest number and the worst one. An
         infinite worst value that holds is the extremum of an empty set; ``where`` is then empty.
-        ``metadata`` are ``group``, ``is_error`` and ``derivative``.
+        ``metadata`` are ``group``, ``is_error``, ``derivative`` and ``method``.
         """
         largest = sys.float_info.max
         if limit is not None:

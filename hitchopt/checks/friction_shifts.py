@@ -2,8 +2,8 @@
 
 Legs lean against the largest friction of ``team.cable_friction``. With less of it they rest ahead
 of their plan, mostly on their ways, on which they keep all distances. The farthest from these is
-the rest with the least friction of the range, since rests depend almost linearly on it. Where no
-leg leans, as in over-travels, friction holds vertices back on their ways.
+the rest with the least friction of the range, since rests depend almost linearly on it. It is
+sampled. Where no leg leans, as in over-travels, friction holds vertices back on their ways.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hitchopt.checks.certificate import SAMPLED
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.checks.spans import phase_parts
 from hitchopt.geometry.vectors import dot, length
@@ -107,7 +108,8 @@ FRICTION_SHIFT = ReportRule(
     applies=_leans,
     group="distances",
     key="limits.tracking",
+    method=SAMPLED,
     proves="the largest distance [m] from their ways at which vertices rest with the least "
-    "friction where legs lean",
-    unproven="swings, objects",
+    "friction where legs lean, at samples",
+    unproven="times between samples, over-travels, swings, objects",
 )

@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from hitchopt.checks.certificate import OTHER, Check, with_tolerance, worst_of
+from hitchopt.checks.certificate import CONTINUOUS, OTHER, Check, with_tolerance, worst_of
 from hitchopt.checks.spans import MotionSpans, runs_of
 from hitchopt.hitch.pairs import Bodies
 from hitchopt.hitch.requirements import Requirements
@@ -54,6 +54,7 @@ class WorstCase:
             group=quantity.group,
             is_error=quantity.is_error,
             derivative=quantity.derivative,
+            method=quantity.method,
         )
 
 
@@ -189,6 +190,9 @@ class Quantity:
     derivative: int = 0
     """The highest time derivative of positions that enters the quantity; 0 for none. The quantity
     is undefined where the next lower derivative jumps, and decreases in slow motion."""
+
+    method: str = CONTINUOUS
+    """The method, as in ``Check``."""
 
 
 @dataclass(frozen=True, eq=False)

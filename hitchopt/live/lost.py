@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from hitchopt.checks.arena import height_above_floor
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.certificate import SAMPLED, Check
 from hitchopt.checks.drones import largest_at_rest, thrust_share
 from hitchopt.checks.linking import CONTINUITY
 from hitchopt.checks.losses import SURVIVABLE
@@ -302,4 +302,4 @@ def survivable(
     where = dict.fromkeys(x.drone for x in without)
     time = min((each.start for each in without), default=0.0)
     worst = WorstCase(share, time, tuple(where))
-    return replace(worst.check(SURVIVABLE, None), method="sampled"), without
+    return replace(worst.check(SURVIVABLE, None), method=SAMPLED), without

@@ -31,7 +31,18 @@ from .reading import (
 )
 from .request import requested
 from .shapes import to_frame
-from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Spans, Worst, fault_row, prove, worst_row
+from .spans import (
+    MIN_TENSION,
+    RESOLUTION,
+    SAMPLED,
+    Fault,
+    Row,
+    Spans,
+    Worst,
+    fault_row,
+    prove,
+    worst_row,
+)
 from .statics import friction_shifts, vertex_errors
 from .teams import Pair, arc_distances, between_plans, object_distances
 from .tying import bent_cables, free_cables
@@ -40,8 +51,8 @@ GROSS = 10.0  # ratio to a limit from which on curves are no plan at all
 JUMP = 0.01  # [m] largest jump of curves that are a plan
 STATED = "not recomputed"  # rules of the user, whose formulas are not in the file
 NO_LIMIT = "no limit"  # height above z = 0, which is only the ground if there is an arena
-PASSING = {"proven", NO_LIMIT, STATED}  # verdicts that do not fail
-ORDER = "violated", "not proven", "proven"  # of verdicts, the worst first
+PASSING = {"proven", SAMPLED, NO_LIMIT, STATED}  # verdicts that do not fail
+ORDER = "violated", "not proven", SAMPLED, "proven"  # of verdicts, the worst first
 # Rows that tracking errors of drones change
 DISTANCES = "separation", "cable_clearance", "crossing", "object_clearance", "keep_out", "downwash"
 ERRING = frozenset({*DISTANCES, "arena", "ground", "legs", "span"})
@@ -346,6 +357,8 @@ def verdict(rows: Sequence[Row]) -> str:
     rest = f"; not recomputed: {stated}" if stated else ""
     if any(row.verdict == NO_LIMIT for row in rows):
         rest += "; not proven: heights above z = 0, which are limited only by an arena"
+    if sampled := ", ".join(row.name for row in rows if row.verdict == SAMPLED):
+        rest += f"; only at samples: {sampled}"
     if bad:
         return f"not proven: {', '.join(bad)}{rest}"
     return f"proven: every limit holds at all times{rest}"

@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hitchopt.checks.certificate import Certificate, stated_rule
+from hitchopt.checks.certificate import SAMPLED, Certificate, stated_rule
 from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Team
 from hitchopt.motion.flight import Flight
@@ -120,8 +120,11 @@ def verdict(certificate: Certificate) -> str:
     """Return the result of a certificate as text, with the worst values of custom rules."""
     if not certificate.certified:
         return "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
-    total = sum(check.limit is not None for check in certificate.checks)
+    sampled = [check.name for check in certificate.limited if check.method == SAMPLED]
+    total = len(certificate.limited) - len(sampled)
     parts = [f"certified for all t: {total} of {total} limits hold"]
+    if sampled:
+        parts.append(f"at samples: {', '.join(sampled)}")
     parts += [str(stated_rule(check)) for check in certificate.checks if check.custom]
     if stated := ", ".join(rule.name for rule in certificate.not_recomputed):
         parts.append(f"not recomputed: {stated}")

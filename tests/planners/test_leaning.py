@@ -33,6 +33,7 @@ from hitchopt.steps.moving import (
     Transport,
 )
 from hitchopt.steps.tying import Form
+from hitchopt.view.style import verdict
 from tests.helpers.clasp_balance import unit
 
 POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
@@ -179,10 +180,13 @@ def test_less_friction_moves_vertices_less_the_nearer_it_is_to_what_legs_lean_ag
     assert moves[-1] < 1e-3
     assert moves[0] > 0.02
     assert check.worst == pytest.approx(shifts[0], rel=0.02)
-    assert (check.limit, check.holds) == (0.05, True)
+    assert (check.limit, check.holds, check.method) == (0.05, True, "sampled")
+    assert verdict(plan.certificate).endswith("; at samples: friction_shift")
     plan.save(tmp_path)
     (row,) = (row for row in verify.verify(tmp_path / "plan.npz") if row.name == "friction_shift")
     assert row.worst == pytest.approx(check.worst, rel=0.05)
+    assert row.verdict == "within, at samples"
+    assert verify.verdict([row]).endswith("; only at samples: friction_shift")
 
 
 def test_legs_lean_less_if_less_friction_moved_vertices_off_their_ways() -> None:
