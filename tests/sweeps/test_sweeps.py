@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,9 +40,11 @@ from hitchopt.lab.sweeps.sweep import (
     draw_sweep,
     load_sweep,
     outcomes,
+    run_tasks,
     summary,
     write_row,
 )
+from hitchopt.values import Array
 from hitchopt.values.fields import mapping_of
 
 if TYPE_CHECKING:
@@ -333,6 +336,19 @@ def test_an_unreachable_scheduler_is_refused(
     monkeypatch.setitem(SETTINGS, "distributed.comm.timeouts.connect", "0.5s")
     with pytest.raises(ho.InputError, match="start `dask scheduler`"):
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.slow
+def test_a_long_flight_is_shared_without_a_warning() -> None:
+    flight = np.arange(1.6e6)  # 12.8 MB: dask's default warns above 10 MB
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _, future in run_tasks(_last, {"one": (2.0,)}, 1, shared=flight):
+            assert future.result() == 2.0 * flight[-1]
+
+
+def _last(factor: float, values: Array) -> float:
+    return factor * float(values[-1])
 
 
 @pytest.mark.parametrize("package", ["mujoco", "pandas", "distributed"])

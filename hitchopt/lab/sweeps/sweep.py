@@ -70,6 +70,7 @@ STATUS = {TimeLimitError: "time limit", InfeasibleError: "infeasible", InputErro
 SETTINGS = {
     "distributed.scheduler.allowed-failures": 3,  # workers that a task may kill
     "distributed.comm.timeouts.connect": "5s",
+    "distributed.admin.large-graph-warning-threshold": "1GB",  # a flight is sent once, as a task
     "distributed.worker.daemon": True,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.system-monitor.gil.enabled": False,
