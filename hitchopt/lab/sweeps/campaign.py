@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -44,8 +43,8 @@ SIZE = (13.0, 7.2)
 WIDTH = 0.35
 """Half-width of a column of points, over the distance of columns."""
 
-BINS = 20
-"""Largest number of bars of a histogram, which has about one per square root of flights."""
+SHOWN_FAILURES = 3
+"""Number of kinds of failures that the picture names."""
 
 SHOWN = {
     "tracking_largest": ("largest drone error [cm]", 0.01),
@@ -277,11 +276,21 @@ def drawn_campaign(campaign: Campaign) -> Figure:
     for panel, (name, (label, unit)) in enumerate(SHOWN.items()):
         axes = figure.add_subplot(panels[panel], xlabel=label)
         values = np.array(figures.get(name, [])) / unit
-        finite = values[np.isfinite(values)]
-        bins = min(math.ceil(math.sqrt(len(finite))) + 1, BINS)
-        axes.hist(finite, bins=bins, color="0.6", edgecolor="white")
-        axes.set_ylabel("flights" if panel == 0 else "")
-        axes.locator_params("y", integer=True)
+        finite = np.sort(values[np.isfinite(values)])
+        fraction = np.arange(1, len(finite) + 1) / max(len(finite), 1)
+        axes.plot(finite, fraction, ".-", color=style.INK, ms=3, lw=0.8, drawstyle="steps-post")
+        axes.set_ylim(0.0, 1.05)
+        axes.set_ylabel("fraction of flights\nup to this value" if panel == 0 else "")
+        axes.ticklabel_format(useOffset=False)
+        axes.locator_params("x", nbins=4)
+        if panel:
+            axes.set_yticklabels([])
     rate = f"{campaign.successes} of {len(campaign.runs)} flights succeeded; red: medians"
-    style.headline(figure, "", rate)
+    failures = [
+        f"{kind} {where} ({runs})"
+        for (kind, where), runs in campaign.failures.most_common(SHOWN_FAILURES)
+    ]
+    style.headline(
+        figure, rate, f"most frequent first failures: {', '.join(failures)}" if failures else ""
+    )
     return figure
