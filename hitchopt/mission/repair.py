@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from hitchopt.checks.arena import ARENA
 from hitchopt.errors import (
     InfeasibleError,
     OneLine,
@@ -42,6 +43,9 @@ from hitchopt.values import known
 
 BUDGET = 18.0
 """Default time after which no further plan is started [s]: a refusal takes about 20 s."""
+
+TRIAL_SHARE = 1.0 / 3.0
+"""Share of this time after which the plan of a change is given up: others may be found at once."""
 
 NO_CHANGE = "no change was found that makes it feasible"  # Message without any suggestion
 
@@ -120,8 +124,9 @@ def find_suggestions(
     Each has been planned and certified. If no single change is enough, up to MAX_CHANGES are
     combined. The search is a heuristic: smaller changes may exist, and an empty result does not
     prove that there are none. ``error`` is that of the problem; after ``budget`` [s] no further
-    plan is started. Unusual values among the trials cause no warnings. A fault of the search ends
-    it with a warning; what it has found until then is returned.
+    plan is started, and a plan that takes TRIAL_SHARE of it is given up. Unusual values among the
+    trials cause no warnings. A fault of the search ends it with a warning; what it has found until
+    then is returned.
     """
     search = _Search(problem, error, time.monotonic() + budget, progress, MAX_CHANGES)
     with contained("the search for changes"), warnings.catch_warnings():
@@ -152,6 +157,7 @@ class _Search:
         self._faults = faults_of(error)
         self._progress = progress
         self._end = end
+        self._seconds = TRIAL_SHARE * (end - start)
         self._end_of_single = 0.5 * (start + end)  # of changes, once others can be combined
         self._end_of_small = start + QUICK_SHARE * (end - start)
         self._max_changes = max_changes
@@ -179,11 +185,16 @@ class _Search:
         end = self._end_of_single if combines else self._end
         if change is None or time.monotonic() >= end or time_left() <= 0.0:
             return None
+        plain = self._trials.get((str(change), False))
+        if plain is not None and plain.given_up:  # the optimiser takes even longer
+            return plain
         key = str(change), optimiser
         if key not in self._trials:
             if self._progress is not None:
                 self._progress(f"trying {change}")
-            self._trials[key] = Trial.of(change, self._faults, optimiser=optimiser)
+            self._trials[key] = Trial.of(
+                change, self._faults, optimiser=optimiser, seconds=self._seconds
+            )
         return self._trials[key]
 
     def _quick_trial(self, change: Change | None) -> Trial | None:
@@ -269,14 +280,14 @@ class _Search:
         return [*suggestions.values()]
 
     def _fitted(self, knobs: Sequence[Knob]) -> list[Suggestion]:
-        """Return suggestions of cable lengths and tensions that statics suggest.
+        """Return suggestions of cable lengths and tensions of statics, which know no walls.
 
         Changes that repair a part are combined with others, if no single one suffices.
         """
         search = _KnobSearch(self._problem, self._trial)
         certified = dict[str, Trial]()
         partly = list[Trial]()
-        useful = [knob for knob in knobs if knob.covers & self._broken]
+        useful = [knob for knob in knobs if knob.covers & self._broken - {ARENA.name}]
         for knob, size in fitted_sizes(self._problem, useful):
             if knob.key in certified:
                 continue

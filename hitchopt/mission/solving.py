@@ -38,7 +38,7 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMissi
 from hitchopt.mission.teams import CertifiedFlight, schedule_teams
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
-from hitchopt.planners.candidates import Effort
+from hitchopt.planners.candidates import Effort, explained_once
 from hitchopt.planners.ends import split_hitch
 from hitchopt.planners.rests import check_at_rest, check_start
 from hitchopt.planners.settling import with_settling
@@ -381,7 +381,7 @@ def _new_plan(group: tuple[Step, ...], task: StepTask, report: Progress) -> Step
     per_robot = max(step.effort_per_robot for step in group)
     effort = Effort(per_robot * task.before.team.robots)
     task = replace(task, progress=report, effort=effort)
-    with planners_faults():
+    with planners_faults(), explained_once():
         if len(group) == 1:
             plan = group[0].plan(task)
         else:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InfeasibleError, TimeIsUp
+from hitchopt.errors import HitchoptError, InfeasibleError, TimeIsUp, TimeLimitError, time_limit
 from hitchopt.mission.changes import Change, broken_constraints, constraint_name, step_of
 from hitchopt.mission.solving import solve_problem
 from hitchopt.planners.candidates import outcome
@@ -63,12 +63,18 @@ class Trial:
     error: InfeasibleError | None = None
     """What the problem still breaks; None if it is certified, or if planning failed otherwise."""
 
+    given_up: bool = False
+    """Whether planning took longer than its time."""
+
     @classmethod
-    def of(cls, change: Change, before: Faults, *, optimiser: bool) -> Trial:
-        """Plan the problem with a change."""
+    def of(cls, change: Change, before: Faults, *, optimiser: bool, seconds: float) -> Trial:
+        """Plan the problem with a change, within a time [s]."""
         try:
-            plan = outcome(partial(solve_problem, change.problem, optimiser=optimiser))
-        except (HitchoptError, TimeIsUp):  # larger changes may still succeed
+            with time_limit(seconds):
+                plan = outcome(partial(solve_problem, change.problem, optimiser=optimiser))
+        except (TimeLimitError, TimeIsUp):
+            return cls(change, before, given_up=True)
+        except HitchoptError:  # larger changes may still succeed
             return cls(change, before)
         if isinstance(plan, InfeasibleError):
             return cls(change, before, error=plan)

@@ -14,7 +14,8 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -78,7 +79,41 @@ class Candidate(Generic[T_co]):
     """Return the candidate that avoids a failure of this one; None if nothing can be changed."""
 
     explained: Callable[[InfeasibleError], InfeasibleError] | None = None
-    """Return its error with what only a long analysis shows, for the best failure of all."""
+    """Return its error with what only a long analysis shows, for the best failure of all.
+
+    It is called once, where ``explained_once`` surrounds the outermost search.
+    """
+
+
+class UnexplainedError(InfeasibleError):
+    """A refusal whose violations a long analysis completes, unless something else is planned."""
+
+    def __init__(
+        self,
+        error: InfeasibleError,
+        note: str,
+        explained: Callable[[InfeasibleError], InfeasibleError],
+    ) -> None:
+        super().__init__(error.violations, note)
+        self._error = error
+        self._explained = explained
+
+    def with_note(self, note: str) -> UnexplainedError:
+        """Return the refusal with another note."""
+        return UnexplainedError(self._error, note, self._explained)
+
+    def explained(self) -> InfeasibleError:
+        """Return the refusal with the violations that the analysis finds."""
+        return InfeasibleError(self._explained(self._error).violations, self.note)
+
+
+@contextmanager
+def explained_once() -> Iterator[None]:
+    """Explain the refusal that the context raises, if any: the best one of all nested searches."""
+    try:
+        yield
+    except UnexplainedError as refusal:
+        raise refusal.explained() from refusal
 
 
 class Failure(NamedTuple):
@@ -190,7 +225,7 @@ def _refusal(failures: Sequence[Failure], *, complete: bool = True) -> HitchoptE
     if not isinstance(error, InfeasibleError):
         return PlannerError(error)
     if best.candidate.explained is not None:
-        error = best.candidate.explained(error)
+        error = UnexplainedError(error, "", best.candidate.explained)
     if len(failures) == 1 and complete:
         return error
     counts = Counter(failure.candidate.name for failure in failures)
@@ -202,4 +237,7 @@ def _refusal(failures: Sequence[Failure], *, complete: bool = True) -> HitchoptE
     if first is not best and isinstance(first.error, InfeasibleError):
         violation = replace(first.error.violations[0], remedy="")
         note += f"; {first.candidate.name}: {str(violation).rstrip('; ')}"
-    return InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
+    whole_note = f"{error.note}\n{note}".strip()
+    if isinstance(error, UnexplainedError):
+        return error.with_note(whole_note)
+    return InfeasibleError(error.violations, whole_note)

@@ -26,6 +26,7 @@ from hitchopt.mission.knobs import knobs_of, scaled_outlines, team_edit
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair import Suggestion, find_suggestions
 from hitchopt.mission.solving import contents, solve_problem
+from hitchopt.mission.trials import Trial
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.knob import Edit, altitude_knobs
 from hitchopt.steps.moving import Hold
@@ -117,11 +118,52 @@ def test_coarser_changes_are_tried_where_small_ones_take_too_long(
     problem = problem_from_dict(data)
     with pytest.raises(ho.InfeasibleError) as caught:
         ho.solve(problem)
-    clock.tick = 0.05 * PATIENCE
-    suggestions = find_suggestions(problem, caught.value, PATIENCE, tried.append)
+    clock.tick = 0.0
+
+    def progress(line: str) -> None:
+        """Let every plan take a twelfth of the time."""
+        tried.append(line)
+        clock.now += PATIENCE / 12.0
+
+    suggestions = find_suggestions(problem, caught.value, PATIENCE, progress)
     changes = [line.partition("(all cables, ")[2] for line in tried]
     assert [each for each in changes if each][-3:] == ["+10 %)", "+25 %)", "+60 %)"]
     assert_as_suggested(data, suggestions[0])
+
+
+CLOSE_CEILING: dict[str, Any] = {
+    "team": {"robots": 3, "cable_length": 2.4, "cable_density": 0.01},
+    "start": {
+        "drones": {
+            "q": [[-0.6, -1.2, 0], [-0.6, 0, 0], [-0.6, 1.2, 0]],
+            "r": [[0.6, -1.2, 0], [0.6, 0, 0], [0.6, 1.2, 0]],
+        }
+    },
+    "arena": {"lower": [-3, -3, 0], "upper": [3, 3, 1.6]},
+    "mission": [{"form": {"polygon": [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], "altitude": 1.5}}],
+}
+"""A ceiling below which the end fits if it is raised by 4.5 cm, but no way there."""
+
+
+@pytest.mark.slow
+def test_plans_that_take_long_are_given_up_for_changes_that_are_planned_at_once(
+    clock: Clock,
+) -> None:
+    """Every check of the time takes a second of this clock."""
+    assert clock.tick == 1.0
+    suggestions = ho.suggestions(problem_from_dict(CLOSE_CEILING), 3000.0)
+    assert suggestions[0].change.key == "mission[0].form.altitude"
+    assert_as_suggested(CLOSE_CEILING, suggestions[0])
+
+
+def test_a_plan_without_time_is_given_up() -> None:
+    problem = problem_from_dict(CLOSE_CEILING)
+    knob = next(x for x in knobs_of(problem, ()) if x.key == "arena.upper[2]")
+    change = change_of(problem, knob, 0.1)
+    assert change is not None
+    trial = Trial.of(change, {}, optimiser=False, seconds=0.0)
+    assert trial.given_up
+    assert not trial.certified
 
 
 def test_shallow_cables_at_the_start_are_lengthened_or_their_drones_moved_together() -> None:

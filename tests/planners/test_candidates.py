@@ -27,6 +27,7 @@ from hitchopt.planners.candidates import (
     CANDIDATE_COST,
     Candidate,
     Effort,
+    explained_once,
     first_certified,
     first_feasible,
 )
@@ -69,6 +70,30 @@ def test_the_best_failure_is_raised_with_its_cause_and_what_was_tried() -> None:
     assert caught.value.__cause__ is best
     note = "the best of 4 candidates: swaps, 3 circles; swaps: separation: 0.2 is below"
     assert caught.value.note.startswith(note)
+
+
+def test_only_the_best_failure_of_nested_searches_is_explained() -> None:
+    explained = list[float]()
+
+    def explain(error: InfeasibleError) -> InfeasibleError:
+        explained.append(error.violations[0].value)
+        return error.at("explained")
+
+    def searched(*values: float) -> str:
+        ways = [Candidate("hold", partial(failing, refused(x)), explained=explain) for x in values]
+        return first_certified(ways, Effort())
+
+    orientations = [
+        Candidate("orientation", partial(searched, *values)) for values in ((0.2, 0.5), (0.8, 0.3))
+    ]
+    with pytest.raises(InfeasibleError) as caught, explained_once():
+        first_certified(orientations, Effort())
+    assert explained == [0.8]
+    assert [(x.value, x.when) for x in caught.value.violations] == [(0.8, "explained")]
+    assert "the best of 2 candidates: 2 holds" in caught.value.note
+    assert "the best of 2 candidates: 2 orientations" in caught.value.note
+    assert first_feasible([Candidate("orientation", partial(searched, 0.1))], None) is None
+    assert explained == [0.8]
 
 
 def test_a_single_failure_is_raised_as_it_is() -> None:
