@@ -155,7 +155,7 @@ PAGES = [
 RUN, SHOWN = {"python", "console"}, {"", "text", "sh", "yaml", "json"}
 LONG = {  # Blocks that take longest
     *("carry.md", "export.md", "fit.md", "look_at_a_plan.md", "sweep.md"),
-    *("describe_your_drones.md", "measure_your_flight.md"),
+    *("describe_your_drones.md", "measure_your_flight.md", "several_teams.md"),
 }
 
 
@@ -382,7 +382,14 @@ def _names(nodes: Iterable[ast.AST]) -> set[str]:
     return {each.id for each in found if isinstance(each, ast.Name)}
 
 
-@pytest.mark.parametrize("name", [x.stem for x in SCRIPTS if x.stem not in LONG_SCRIPTS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(x.stem, marks=pytest.mark.slow if x.stem == "custom_cost" else ())
+        for x in SCRIPTS
+        if x.stem not in LONG_SCRIPTS
+    ],
+)
 def test_scripts_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (file,) = (each for each in SCRIPTS if each.stem == name)

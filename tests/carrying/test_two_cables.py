@@ -385,7 +385,7 @@ def test_tying_in_reverse_unties() -> None:
 @pytest.mark.parametrize(
     ("at", "tracking", "words"),
     [
-        (0.24, 0.05, r"hinge.*0\.04.*0\.08.*tie it at 0\.28 m"),
+        pytest.param(0.24, 0.05, r"hinge.*0\.04.*0\.08.*tie it at 0\.28 m", marks=pytest.mark.slow),
         (0.15, 0.0, r"hinge.*-0\.05.*0\.03.*tie it at 0\.23 m"),
     ],
 )
@@ -412,9 +412,9 @@ BOX = [[-0.16, -0.16], [-0.16, 0.16], [0.16, 0.16], [0.16, -0.16]]
 @pytest.mark.parametrize(
     ("step", "body", "team"),
     [
-        (TIE, prism(8, 0.12), {}),
+        pytest.param(TIE, prism(8, 0.12), {}, marks=pytest.mark.slow),
         pytest.param(TIE, prism(10, 0.12), {}, marks=pytest.mark.slow),
-        (TIE, {**DRUM, "circle": 0.05, "mass": 0.04}, {}),
+        pytest.param(TIE, {**DRUM, "circle": 0.05, "mass": 0.04}, {}, marks=pytest.mark.slow),
         pytest.param(TIE, {**prism(8, 0.25), "mass": 0.09}, {}, marks=pytest.mark.slow),
         (LESS, DRUM, {"cable_friction": 0.15}),
         (TIE, {**DRUM, "mass": 0.008}, SMALL),
@@ -547,7 +547,8 @@ OCTAGON = [
 ]
 
 
-@pytest.mark.parametrize("radius", [1e-4, pytest.param(5e-3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [1e-4, 5e-3])
 def test_rounded_corners_are_no_sides_that_cables_meet(radius: float) -> None:
     """Cables pass the short sides of rounded corners while they are pitched, as on a disc."""
     body = {**prism(8, 0.1), "outline": rounded(OCTAGON, radius, 4), "mass": 0.05}
@@ -676,8 +677,9 @@ def tied_grip(stated: ho.Problem) -> tuple[GripHold, Requirements]:
     return GripHold.tied(stated.team, body, clasps, height), requirements
 
 
-@pytest.mark.parametrize("tension", [1.0, 1.7])
-@pytest.mark.parametrize(("kp", "kd"), [(9.0, 2.5), (2.0, 1.2), (1.2, 1.0)])
+@pytest.mark.parametrize(
+    ("kp", "kd", "tension"), [(9.0, 2.5, 1.0), (2.0, 1.2, 1.7), (1.2, 1.0, 1.0)]
+)
 def test_cables_hang_beside_an_object_with_a_reserve_beyond_their_displacement(
     kp: float, kd: float, tension: float
 ) -> None:

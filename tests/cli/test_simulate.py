@@ -49,9 +49,8 @@ def read(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize(
-    ("allowed", "words"), [pytest.param(0.1, "within", marks=pytest.mark.slow), (1e-4, "more than")]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("allowed", "words"), [(0.1, "within"), (1e-4, "more than")])
 def test_errors_are_compared_with_what_was_allowed_for(
     place: Path, allowed: float, words: str
 ) -> None:

@@ -81,7 +81,9 @@ def drones_recording(camera: Camera, t: Array, drones: Array, seed: int = 0) -> 
     return camera.recorded(t, drones, np.zeros((len(t), 0, 3)), seed)
 
 
-@pytest.mark.parametrize("name", ["triangle", "pentagon", "chain", "moving"])
+@pytest.mark.parametrize(
+    "name", ["triangle", pytest.param("pentagon", marks=pytest.mark.slow), "chain", "moving"]
+)
 def test_markers_on_exact_curves_give_the_vertices(name: str) -> None:
     result = ho.evaluate(planned_flight(name, EXACT, offset=0.0), task(name))
     clasps = task(name).team.layout.clasps

@@ -156,9 +156,11 @@ def around_objects(name: str) -> ho.Plan:
     ("name", "phase", "share"),
     [
         ("two_robots_drum", "straddle", 0.8),
-        ("two_robots_drum", "tighten", 0.5),
-        ("two_robots_drum", "loosen", 0.5),
-        ("column", "straddle", 0.9),
+        pytest.param("column", "straddle", 0.9, marks=pytest.mark.slow),
+        *(
+            pytest.param("two_robots_drum", phase, 0.5, marks=pytest.mark.slow)
+            for phase in ("tighten", "loosen")
+        ),
         *(
             pytest.param("two_robots_drum", phase, share, marks=pytest.mark.slow)
             for phase in ("tension", "lower", "lay", "roll", "lift", "carry", "unstraddle")

@@ -78,7 +78,7 @@ def test_all_but_two_drones_stay_where_the_plan_stopped(
     np.testing.assert_allclose(chain.tensions.at(chain.duration), 0.3)
 
 
-@pytest.mark.parametrize("density", [0.0, 0.008])
+@pytest.mark.parametrize("density", [pytest.param(0.0, marks=pytest.mark.slow), 0.008])
 def test_no_reaction_takes_longer_than_stated(density: float) -> None:
     """The worst time is that just after a loss would have been answered by the stop before."""
     flight = square(density).flight
@@ -112,7 +112,14 @@ def irregular(robots: int, seed: int) -> ho.Plan:
     return ho.solve(start, ho.Morph(moved), limits=ho.Limits(survive="cable"))
 
 
-@pytest.mark.parametrize(("robots", "seed"), [(3, 0), (3, 2), (4, 3), (5, 1), (6, 4)])
+@pytest.mark.parametrize(
+    ("robots", "seed"),
+    [
+        (3, 0),
+        (4, 3),
+        *(pytest.param(*x, marks=pytest.mark.slow) for x in ((3, 2), (5, 1), (6, 4))),
+    ],
+)
 def test_what_survives_has_a_certified_reaction(robots: int, seed: int, tmp_path: Path) -> None:
     """For each robot, at a drawn time; the verifier proves one."""
     plan = irregular(robots, seed)

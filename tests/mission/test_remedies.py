@@ -357,6 +357,7 @@ SLOW = {
     "two_robots_low",
     "two_robots_smooth_lip",
     "same_goal",
+    "vertex_moved_too_far",
 }
 
 
@@ -431,7 +432,7 @@ def test_remedies_at_rest_make_violations_smaller(name: str) -> None:
     assert list(useless_remedies(REFUSED[name])) == []
 
 
-@pytest.mark.parametrize("sharing", ["balanced", "spread"])
+@pytest.mark.parametrize("sharing", ["balanced", pytest.param("spread", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "first_seed", [0, *(pytest.param(first, marks=pytest.mark.slow) for first in (10, 20, 30))]
 )

@@ -135,6 +135,7 @@ def test_an_object_that_a_step_names_belongs_to_that_team_alone() -> None:
     assert caught.value.key == "mission[4].c.enclose.object"
 
 
+@pytest.mark.slow
 def test_teams_with_one_goal_are_refused_with_both_named() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"goals of b and a, near \(2.50, 0.00, 1.50\) m"):
         ho.solve(PROBLEMS / "infeasible" / "same_goal.yaml")
@@ -260,7 +261,8 @@ def test_start_times_have_a_larger_margin_until_all_teams_are_certified(
     assert "trying schedule 3" in said
 
 
-@pytest.mark.parametrize("seed", [8, *(pytest.param(x, marks=pytest.mark.slow) for x in (2, 4))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [8, 2, 4])
 def test_a_team_that_stays_is_passed_above_or_below_all_of_it(seed: int) -> None:
     """Legs that roll reach farther up and down than one layer."""
     data = past_team(seed)

@@ -247,7 +247,9 @@ def test_teams_that_cannot_be_laid_are_refused_by_name(team: ho.Team, words: str
         laid(team)
 
 
-@pytest.mark.parametrize("tension", [[0.7, 0.7, 0.6], [0.6, 0.8, 0.7]])
+@pytest.mark.parametrize(
+    "tension", [pytest.param([0.7, 0.7, 0.6], marks=pytest.mark.slow), [0.6, 0.8, 0.7]]
+)
 def test_cables_of_unequal_tensions_are_laid_and_roll(tension: list[float], tmp_path: Path) -> None:
     plan = laid(ho.Team(3, 2.3, tension=tension, cable_density=0.01))
     assert plan.certificate.certified

@@ -364,6 +364,7 @@ def test_turned_and_mirrored_hitches_over_travel_alike() -> None:
         np.testing.assert_allclose(turning_points(plan, by), expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_vertices_over_travel_less_where_limits_bind(tmp_path: Path) -> None:
     """A wall leaves no room for all of it; the remark names the vertex and what may be left."""
     free = slid(OUTWARD)
@@ -393,6 +394,7 @@ def form(settle: Any = "auto") -> Step:
     return Form(WORKED, 1.2, settle=settle)
 
 
+@pytest.mark.slow
 def test_forming_with_friction_ends_with_settling() -> None:
     worked, left, given = (settled(form(each), tied=False) for each in ("auto", False, 30.0))
     smooth = settled(form(), tied=False, friction=0.0)
@@ -411,6 +413,7 @@ def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None
     assert verify.main([str(tmp_path)]) == 0
 
 
+@pytest.mark.slow
 def test_settling_takes_the_time_that_limits_and_over_travels_need() -> None:
     free, slow = settled(Settle()), settled(Settle(), limits=ho.Limits(speed=0.1))
     assert slow.duration > free.duration

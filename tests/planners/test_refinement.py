@@ -49,6 +49,9 @@ TEAMS: dict[str, dict[str, Any]] = {
     },
 }
 
+MIXED = {"plain", "heavy, loaded and unequal"}
+"""The simplest team, and that of which all terms count."""
+
 
 def smooth_length(vectors: Array) -> Array:
     """Return the lengths (…) of vectors (…, 3), smooth at zero."""
@@ -86,7 +89,9 @@ def random_flat(
         (True, True),
     ],
 )
-@pytest.mark.parametrize("kind", TEAMS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(x, marks=() if x in MIXED else pytest.mark.slow) for x in TEAMS]
+)
 def test_casadi_and_series_state_the_same_flight(
     kind: str, rolled: bool, varying: bool, topology: str
 ) -> None:
@@ -161,7 +166,9 @@ def route_of(kind: str) -> ho.Path:
     return ho.route(start, goal, **options)
 
 
-@pytest.mark.parametrize("kind", ROUTES)
+@pytest.mark.parametrize(
+    "kind", [x if x == "rolled" else pytest.param(x, marks=pytest.mark.slow) for x in ROUTES]
+)
 def test_derivatives_of_rows_are_those_of_finite_differences(kind: str) -> None:
     """Rows of limits by coefficients of splines, and rows of distances."""
     requirements = Requirements(ho.Limits(), ho.Separation())

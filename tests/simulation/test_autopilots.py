@@ -770,7 +770,7 @@ def test_the_commands_of_several_teams_hold_their_last_setpoint() -> None:
             np.testing.assert_array_equal(values, np.concatenate(expected))
 
 
-@pytest.mark.parametrize("controller", ["mellinger", "ideal"])
+@pytest.mark.parametrize("controller", [pytest.param("mellinger", marks=pytest.mark.slow), "ideal"])
 def test_the_hover_before_a_flight_is_independent_of_its_first_jerk(controller: str) -> None:
     """Drones that held the body rates of the first setpoint tilted, and began 6 cm off."""
     hitch = regular_hitch(3)

@@ -508,7 +508,9 @@ def test_contacts_of_two_cables_are_told_apart_by_where_they_are_along_them() ->
     assert at_clasps.forces.tolist() == [1.0, 2.0, 3.0, 5.0]
 
 
-@pytest.mark.parametrize("name", ["two_robots_drum", "grip_drum"])
+@pytest.mark.parametrize(
+    "name", ["two_robots_drum", pytest.param("grip_drum", marks=pytest.mark.slow)]
+)
 def test_clasps_of_bent_edges_need_a_share_of_what_a_cable_bends_with(name: str) -> None:
     motion = planned(name).motion
     task = Task.of(ho.Flight.of(motion))

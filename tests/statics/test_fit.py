@@ -18,6 +18,8 @@ from hitchopt.cli import main
 from hitchopt.hitch.holding import Capacity, Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.statics.files import save_fit
+from hitchopt.objects import Rim
+from hitchopt.planners.carrying.polygons import rest_polygons
 from hitchopt.planners.fitting import (
     enclosing_polygon,
     fitting_lengths,
@@ -192,7 +194,11 @@ def test_a_concave_outline_is_held_by_its_hull() -> None:
         ({"outline": "part.step"}, "a drawing"),
         ({"tension": 1.3}, r"tilt: 1.3 N .*raise limits.tilt_deg"),
         ({"cable_length": 1.0}, r"edge \d.*use cables of 1\.27 m"),
-        ({"outline": 0.01, "robots": 8, "tension": 1.0}, "no cable length"),
+        pytest.param(
+            {"outline": 0.01, "robots": 8, "tension": 1.0},
+            "no cable length",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: str) -> None:
@@ -245,6 +251,22 @@ def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
         assert CliRunner().invoke(main, ["fit", outline, "--robots", "3"]).exit_code == 2
 
 
+@pytest.mark.parametrize(("stem", "fits"), [(0.05, True), (0.14, False)])
+def test_edges_of_polygons_below_a_rim_keep_off_the_stem(stem: float, *, fits: bool) -> None:
+    """Where no triangle is left, the limit is named."""
+    tray = ho.SolidObject(ho.Section(radius=stem), 0.0, 0.35, rim=Rim(BOX, 0.3))
+    if not fits:
+        with pytest.raises(ho.InfeasibleError, match=r"support: .* widen the rim"):
+            rest_polygons("tray", tray, 3, 0.08)
+        return
+    for polygons in rest_polygons("tray", tray, 3, 0.08):
+        corners = polygons.clasps
+        along = np.roll(corners, -1, axis=0) - corners
+        inward = along[:, ::-1] * [1.0, -1.0] / np.linalg.norm(along, axis=1)[:, None]
+        assert np.min(-np.sum(corners * inward, axis=1)) >= stem + 0.01
+
+
+@pytest.mark.slow
 def test_edges_of_a_resting_polygon_keep_off_the_stem_below_the_rim() -> None:
     """Where no triangle is left, the limit is named."""
     rest = ho.fit(BOX, 3, stem=0.05, tension=1.0, compared=()).holding.rest

@@ -90,10 +90,18 @@ def _tension(path: Path) -> ho.Check:
 
 
 @pytest.mark.parametrize(
-    "factor",
-    [*(pytest.param(x, marks=pytest.mark.slow) for x in (1e-12, 1e-4, 0.01, 0.5)), 0.9, 1.0],
+    ("is_tied", "factor"),
+    [
+        (True, 1.0),
+        (False, 1.0),
+        (False, 0.5),
+        *(
+            pytest.param(is_tied, factor, marks=pytest.mark.slow)
+            for is_tied in (True, False)
+            for factor in (1e-12, 1e-4, 0.01, 0.9)
+        ),
+    ],
 )
-@pytest.mark.parametrize("is_tied", [True, False])
 def test_tensions_rise_to_the_smallest_at_which_a_hitch_is_held(
     *, is_tied: bool, factor: float, tmp_path: Path
 ) -> None:
@@ -145,7 +153,7 @@ def test_what_dips_from_the_smallest_tension_and_back_is_no_ramp(
     assert not check.holds
 
 
-@pytest.mark.parametrize("at", [pytest.param(0, marks=pytest.mark.slow), 1, -1])
+@pytest.mark.parametrize("at", [*(pytest.param(x, marks=pytest.mark.slow) for x in (0, 1)), -1])
 def test_phases_shorter_than_files_resolve_alter_nothing(at: int, tmp_path: Path) -> None:
     def shorter(settings: Settings, _: Arrays) -> None:
         phases = settings["groups"][0]["records"]["phases"]
