@@ -1,7 +1,7 @@
 """Requests: team, requirements and start, as records and JSON values.
 
 Problems state the request, motions imply it, and both are compared with the keys of problem files.
-Steps are compared by the table of ``hitchopt.verify.request``.
+Steps are compared by the table of ``hitchopt.verify.steps``.
 Plan files store records in the same form: fields by their names, arrays as lists.
 Robots are in the order of the problem.
 """

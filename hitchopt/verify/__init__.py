@@ -26,7 +26,7 @@ from .driver import cells as cells
 from .driver import main as main
 from .driver import verdict as verdict
 from .driver import verify as verify
-from .reading import Plan as Plan
+from .plan import Plan as Plan
 from .reading import UnreadableError as UnreadableError
 from .reading import read as read
 from .request import requested as requested

@@ -10,7 +10,7 @@ import numpy as np
 
 from .arithmetic import BIG, DEGREES, UP, G, Index, Line, Mask, angle, maximum, minimum, norm
 from .drones import wall_gap
-from .reading import REST_TOL, WRAP_TOL, Plan
+from .plan import REST_TOL, WRAP_TOL, Plan
 from .shapes import distance
 from .spans import MIN_TENSION, Row, Spans, prove
 

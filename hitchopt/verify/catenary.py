@@ -20,7 +20,7 @@ from .arithmetic import (
     minimum,
     norm,
 )
-from .reading import LAID
+from .plan import LAID
 from .shapes import distance
 from .spans import Spans
 

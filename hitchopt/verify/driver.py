@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from functools import partial
-from itertools import chain, combinations, product, repeat
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from .drones import drones, thrust
 from .links import interlacing, roll_changes
 from .losses import losses, read_stated
 from .objects import clear_held, clear_objects, gripped, hinged, resting, steady, support_below
-from .reading import (
+from .plan import (
     CONTACT_TOL,
     DRAWN,
     LAID,
@@ -26,9 +25,8 @@ from .reading import (
     ROLLING,
     TAUT_TOL,
     Plan,
-    UnreadableError,
-    read,
 )
+from .reading import UnreadableError, read
 from .request import requested
 from .shapes import to_frame
 from .spans import (
@@ -63,50 +61,84 @@ def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
 
     They ``rest`` at the start (0) or the end (-1) of the plan.
     """
+    yield worst_row("continuity", "m", 1e-6, [*curve_jumps(p), *rates_at_rest(p, rests)])
+    if p.n:
+        yield worst_row("tension", "N", 1e-4, [*force_jumps(p), *range_errors(p)])
+
+
+def curve_jumps(p: Plan) -> Iterator[Worst]:
+    """Yield the sums of jumps of curves and of two derivatives; of cables between taut pieces."""
     bodies = [body.name for body in p.bodies]
-    both = (p.taut[1:] & p.taut[:-1])[:, None]
-
-    def jump(c: Array, names: Sequence[str], on: Any = True, fold: Any = np.max) -> Iterator[Worst]:
-        x = norm(c[1:, ..., 0] - c[:-1, ..., -1]) * on
-        if x.size:
-            i = int(np.argmax(each := fold(x, axis=0)))
-            yield float(each[i]), float(p.breaks[np.argmax(x[:, i]) + 1]), names[i]
-
-    def total(x: Array, axis: int) -> Array:
-        """Return sums of jumps above rounding errors."""
-        jumps = np.sum(np.where(x > 1e-9, x, 0.0), axis)
-        return np.asarray(np.maximum(jumps, np.max(x, axis)))
-
-    values = list[Worst]()
-    summed = partial(jump, fold=total)
+    both_taut = (p.taut[1:] & p.taut[:-1])[:, None]
     for k in range(3):
-        curves = (p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)
-        values += chain(*(summed(curve, names) for curve, names in curves))
-        values += summed(p.points.c[k][:, p.V], p.labels[p.V], both)
+        points = p.points.c[k]
+        yield from total_jump(jumps_of(points[:, : p.N]), p, p.names)
+        yield from total_jump(jumps_of(p.poses.c[k]), p, bodies)
+        yield from total_jump(jumps_of(points[:, p.V]) * both_taut, p, p.labels[p.V])
         if np.any(p.bent):  # inner ends of legs
-            values += summed(p.points.c[k][:, p.anchor], p.names, both)
-        values += summed(p.legs.c[k], p.names, both)
-        for (curve, names), end in product(curves, rests if k else ()):
-            time = repeat(float(p.breaks[end]))
-            values += zip(norm(curve[end, ..., end]).tolist(), time, names, strict=False)
-    yield worst_row("continuity", "m", 1e-6, values)
-    if not p.n:
-        return
+            yield from total_jump(jumps_of(points[:, p.anchor]) * both_taut, p, p.names)
+        yield from total_jump(jumps_of(p.legs.c[k]) * both_taut, p, p.names)
+
+
+def rates_at_rest(p: Plan, rests: Sequence[int]) -> Iterator[Worst]:
+    """Yield speeds and accelerations of drones and objects at ends at which they rest."""
+    bodies = [body.name for body in p.bodies]
+    for k, end in product((1, 2), rests):
+        time = float(p.breaks[end])
+        for curve, names in ((p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)):
+            for rate, name in zip(norm(curve[end, ..., end]).tolist(), names, strict=True):
+                yield rate, time, name
+
+
+def force_jumps(p: Plan) -> Iterator[Worst]:
+    """Yield the largest jumps of thrusts, and of tensions of edges and legs."""
     drones = Spans.of(p, p.all_pieces, range(p.N))
     with np.errstate(all="ignore"):
         ends = [thrust(drones.subspan(end), drones.item[:, 0]).v for end in (-1.0, 1.0)]
-    on = p.taut[:, None, None, None]
-    values = [*jump(np.stack(ends, -1).reshape(-1, p.N, 3, 2), p.names)]
-    values += [*jump(p.tensions.c[0] * on, p.cables), *jump(p.pulls.c[0] * on, p.names)]
-    # At both ends of a range, tensions are the team's unless an object is held there
+    thrusts = np.stack(ends, axis=-1).reshape(-1, p.N, 3, 2)
+    taut = p.taut[:, None, None, None]
+    yield from largest_jump(jumps_of(thrusts), p, p.names)
+    yield from largest_jump(jumps_of(p.tensions.c[0] * taut), p, p.cables)
+    yield from largest_jump(jumps_of(p.pulls.c[0] * taut), p, p.names)
+
+
+def range_errors(p: Plan) -> Iterator[Worst]:
+    """Yield differences of tensions from the team's at both ends of ranges.
+
+    Where an object is held on both sides, tensions may differ.
+    """
     held = np.pad(np.any(p.held, axis=0), 1, "edge")
     ranged = np.append(p.range_phase, -1)
     for q, end in product(np.flatnonzero(p.formed & (p.range_phase >= 0)), (0, -1)):
-        o = q - 1 - 2 * end  # without a range, but with the same hold, beyond the plan
-        if ranged[o] != ranged[q] and not (held[q + 1] and held[o + 1]):
-            error = np.max(np.abs(p.tensions.c[0][q, :, :, end] - p.team))
-            values.append((float(error), float(p.breaks[q - end]), "range"))
-    yield worst_row("tension", "N", 1e-4, values)
+        beyond = q - 1 - 2 * end  # the piece before or after; without a range beyond the plan
+        if ranged[beyond] != ranged[q] and not (held[q + 1] and held[beyond + 1]):
+            error = np.max(np.abs(p.tensions.c[0][q, :, :, end] - p.stated_tension))
+            yield float(error), float(p.breaks[q - end]), "range"
+
+
+def jumps_of(c: Array) -> Array:
+    """Return the jumps (m - 1, items) of curves (m, items, d, N + 1) at joints of pieces."""
+    return norm(c[1:, ..., 0] - c[:-1, ..., -1])
+
+
+def largest_jump(x: Array, p: Plan, names: Sequence[str]) -> Iterator[Worst]:
+    """Yield the largest of jumps (m - 1, items), if there are any."""
+    if x.size:
+        yield worst_item(np.max(x, axis=0), x, p, names)
+
+
+def total_jump(x: Array, p: Plan, names: Sequence[str]) -> Iterator[Worst]:
+    """Yield the largest sum of jumps (m - 1, items) above rounding errors, if there are any."""
+    if x.size:
+        sums = np.sum(np.where(x > 1e-9, x, 0.0), axis=0)
+        yield worst_item(np.maximum(sums, np.max(x, axis=0)), x, p, names)
+
+
+def worst_item(values: Array, x: Array, p: Plan, names: Sequence[str]) -> Worst:
+    """Return the largest of values (items,), at the time of the item's largest jump."""
+    item = int(np.argmax(values))
+    joint = int(np.argmax(x[:, item]))
+    return float(values[item]), float(p.breaks[joint + 1]), names[item]
 
 
 def consistency(p: Plan) -> Iterator[Row]:
@@ -164,7 +196,7 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
             yield at, follows, "cables are loose without a loss at the start"
         if state == "being tightened":
             over = s.route_length(k).v.reshape(-1, p.n) - (1.0 - 1e-4) * p.length[:, 0]
-            full = np.sum(p.h[on] * (over @ p.team[:, 0] > 0.0)) > 0.5 * np.sum(p.h[on])
+            full = np.sum(p.h[on] * (over @ p.stated_tension[:, 0] > 0.0)) > 0.5 * np.sum(p.h[on])
             yield at, full, "cables stated as slack have their full length"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from .arithmetic import BIG, DEGREES, TOLERANCE, UP, G, Index, Line, angle, minimum, norm
 from .catenary import catenary_force
-from .reading import Body, Plan
+from .plan import Body, Plan
 from .shapes import Slab
 from .spans import Row, Spans, prove
 

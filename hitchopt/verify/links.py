@@ -25,7 +25,7 @@ from .arithmetic import (
 )
 from .cables import OPEN_ROLL, crossing_parts, has_tension
 from .catenary import catenary, catenary_depth
-from .reading import BENT, CROSSINGS, LAID, LOOSE, MIN_GAP, ROLLING, SAG_TOL, TIGHTENED, Plan
+from .plan import BENT, CROSSINGS, LAID, LOOSE, MIN_GAP, ROLLING, SAG_TOL, TIGHTENED, Plan
 from .shapes import distance, intersections, signed_distance
 from .spans import Fault, Row, Spans, fault_row, prove
 
@@ -297,7 +297,7 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     pairs = Spans.of(p, loose, np.column_stack(both), p.cables, p.cables)
     row = prove("interlacing 1 min", 0.0, pairs, decided)
     yield row.time, row.verdict != "proven", row.where
-    i, j = np.minimum(*p.pair), np.maximum(*p.pair)
+    i, j = np.minimum(p.behind, p.clasps), np.maximum(p.behind, p.clasps)
     tied = p.formed[0] or p.state[0] in (TIGHTENED, LOOSE)  # as at the start of a plan
     linked = np.full(len(p.clasps), float(tied))
     half_crossings[i, j, 0] = linked * (1 + p.two)

@@ -33,7 +33,7 @@ from .arithmetic import (
     norm,
     normalize,
 )
-from .reading import Plan
+from .plan import Plan
 from .shapes import closest, distance, hull_distance, prism_gap
 from .spans import Row, Spans, fault_row, prove, worst_row
 
@@ -98,7 +98,7 @@ def losses(p: Plan, stated: Any = None) -> Iterator[Row]:
 
 def taut_pieces(p: Plan) -> Mask:
     """Return the pieces on which a hitch is taut and holds no object."""
-    taut = np.min(p.tensions.c[0][:, :, 0], axis=-1) >= TAUT_SHARE * p.team[:, 0]
+    taut = np.min(p.tensions.c[0][:, :, 0], axis=-1) >= TAUT_SHARE * p.stated_tension[:, 0]
     return np.asarray((p.state == "hitched") & np.all(taut, axis=1) & ~np.any(p.held, axis=0))
 
 
@@ -244,9 +244,7 @@ def whole_cables(p: Plan, rows: Moves) -> Mask:
 
 def clasped_first(p: Plan, items: Items, cables: Items) -> tuple[Items, Items]:
     """Return the pairs whose cables (m, 2) share a clasp, and the others."""
-    linked = np.zeros((p.n, p.n), dtype=bool)
-    linked[p.pair[0], p.pair[1]] = linked[p.pair[1], p.pair[0]] = True
-    shares = linked[cables[:, 0], cables[:, 1]]
+    shares = p.clasped[cables[:, 0], cables[:, 1]]
     return items[shares], items[~shares]
 
 
@@ -494,7 +492,7 @@ def least_seconds(p: Plan, rows: Moves, on: Mask, lost: int) -> float:
     ways = (place_after(s, rows, j) - s.point(rows.drone[j])).norm().low
     way = max(float(np.min(ways[j == x])) for x in np.unique(j))
     ramp = fastest_ramp(max(way, 0.0), *(limits[x] for x in ("speed", "acceleration", "jerk")))
-    periods = 2.0 * p.length[others, 0] * np.sqrt(p.weight / G / p.team[others, 0])
+    periods = 2.0 * p.length[others, 0] * np.sqrt(p.weight / G / p.stated_tension[others, 0])
     shortest, count = TIGHTENING
     tightening = max(shortest, count * float(np.max(periods)))
     return float(REACTION + stop + ramp + tightening)

@@ -26,7 +26,7 @@ from .arithmetic import (
 from .cables import capstan, wrap_angle
 from .catenary import lowest_height, shift
 from .drones import wall_gap
-from .reading import CONTACT_TOL, DRAWN, EXACT_RANGE, WRAP_TOL, Plan
+from .plan import CONTACT_TOL, DRAWN, EXACT_RANGE, WRAP_TOL, Plan
 from .shapes import Slab, to_frame
 from .spans import MIN_TENSION, Row, Spans, prove
 

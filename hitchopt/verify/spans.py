@@ -21,7 +21,7 @@ from .arithmetic import (
     maximum,
     minimum,
 )
-from .reading import CLASPING, LOOSE, Plan
+from .plan import CLASPING, LOOSE, Plan
 
 Names = Sequence[Sequence[str]]
 Fault = tuple[float, bool, str]  # time [s], whether it applies, text

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .arithmetic import Array, G, Items, norm
-from .reading import Plan, tube_of
+from .plan import Plan, tube_of
 from .spans import SAMPLED, Row, Worst, worst_row
 
 AXIAL = 1e4  # [N] stiffness EA of cables to stretch
@@ -239,7 +239,7 @@ def rests(p: Plan) -> Iterator[tuple[float, Rest]]:
             drones, speed, rate = (p.points.c[k][q, : p.N, :, end] for k in range(3))
             T = p.tensions.c[0][q, :, 0, end]
             still = max(float(np.max(np.abs(speed))), float(np.max(np.abs(rate)))) <= AT_REST
-            if not still or not np.all(TAUT * p.team[:, 0] <= T):
+            if not still or not np.all(TAUT * p.stated_tension[:, 0] <= T):
                 continue
             if all(np.max(np.abs(drones - other)) > SAME for other in places):
                 places.append(drones)

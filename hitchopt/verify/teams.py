@@ -12,7 +12,7 @@ import numpy as np
 from .arithmetic import BIG, Array, Index, Items, Line, Mask, elevate, maximum, minimum, runs_of
 from .drones import moves
 from .objects import body_gap
-from .reading import LAID, WRAP_TOL, Plan
+from .plan import LAID, WRAP_TOL, Plan
 from .shapes import Slab, distance, prism_gap
 from .spans import Row, Spans, prove
 
@@ -95,7 +95,7 @@ def at_times_of(s: Spans, p: Plan) -> Spans:
     x = (s.time - p.breaks[piece]) / p.h[piece]
     spans = Spans(p, piece, s.item, np.clip(x, 0.0, 1.0), 0.0 * x)
     spans.t, spans.zero = s.t, s.zero
-    spans.moving = 1.0 * ((x > 0.0) & (x < 1.0))
+    spans.moving = np.asarray(1.0 * ((x > 0.0) & (x < 1.0)))
     return spans
 
 

@@ -27,7 +27,7 @@ from .arithmetic import (
 from .cables import crossing_parts
 from .catenary import above_floor, catenary_links, lowest_height, own_cable_gap, shift
 from .links import Replay, bent_orders
-from .reading import (
+from .plan import (
     CLASPING,
     DRAWN,
     EXACT_RANGE,
@@ -291,7 +291,9 @@ def laid_cables(p: Plan) -> Iterator[Row]:
         )
 
     yield prove("cable_length ratio max", 1e-4, s, length_error)
-    pairs = Spans.of(p, laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
+    pairs = Spans.of(
+        p, laid & ~p.vertical, np.column_stack([p.clasps, p.behind]), p.cables, p.cables
+    )
     yield prove(*p.crossing_limit, pairs, gap)
     replay = Replay(p, np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros(len(p.clasps)))
     replay.follow()

@@ -23,7 +23,7 @@ from hitchopt.motion.request import check_request
 from hitchopt.steps import STEP_KINDS, STEPS, Step
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values.fields import keys_of
-from hitchopt.verify import request
+from hitchopt.verify import request, steps
 from tests.helpers.plans import PROBLEMS, planned, planned_of
 
 Path_ = tuple[str | int, ...]
@@ -124,6 +124,14 @@ LANDED = f"""{TIED}
   - release: {{to: [[-1, 2], [-1, 1], [0, 2], [0, 1], [1, 1], [1, 2]]}}
   - land: {{to: [[1, 2], [1, 1], [0, 1], [0, 2], [-1, 1], [-1, 2]], assign: auto}}
 """
+MEASURED = """
+team:
+  robots: 3
+  cable_length: 2.4
+  quadrotor: {mass: 0.132, max_thrust: 2.6, trim: [0.01, 0.0], tracking: 0.002}
+start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0}}
+mission: [{hold: {seconds: 1.0}}]
+"""
 TEXTS = {
     "landed": LANDED,
     "tied": TIED,
@@ -133,6 +141,7 @@ TEXTS = {
     "unstopped": UNSTOPPED,
     "carried_on": CARRIED_ON,
     "grasped": GRASPED,
+    "measured": MEASURED,
 }
 ROLLED, DRUM, BOX = "roll_square", "two_robots_drum", "carry_box"
 
@@ -179,6 +188,8 @@ LIES = [
     lie("moved", "team tension", 0.51),
     lie("moved", "team topology", "open"),
     lie("moved", "team quadrotor", {"mass": 0.14}),
+    lie("measured", "team quadrotor trim 0", 0.02),
+    lie("measured", "team quadrotor tracking", 0.003),
     lie("moved", "limits speed", 0.8),
     lie("moved", "limits tilt_deg", 39),
     lie("moved", "limits tracking", 0.02),
@@ -360,7 +371,7 @@ def test_legs_of_cables_that_sag_are_those_asked_for(tmp_path: Path) -> None:
 
 def row_of(step: str, key: str) -> str:
     """Return the row of the table that a key of a step looks up."""
-    return f"{step}.{key}" if f"{step}.{key}" in request.STEP_KEYS else key
+    return f"{step}.{key}" if f"{step}.{key}" in steps.STEP_KEYS else key
 
 
 def test_every_key_of_the_table_has_a_lie() -> None:
@@ -370,7 +381,7 @@ def test_every_key_of_the_table_has_a_lie() -> None:
     told |= {
         row_of("fly", lie[0]) for lie in lies
     }  # single drones' keys stand outside of a mission
-    assert request.STEP_KEYS.keys() - {"form.assign"} <= told  # "assign" is below
+    assert steps.STEP_KEYS.keys() - {"form.assign"} <= told  # "assign" is below
 
 
 NOT_COMPARED = {
@@ -385,8 +396,8 @@ def test_every_key_of_a_step_has_a_row() -> None:
     """No key of a step is left out of comparison unless it is named here, with the reason."""
     kinds: tuple[type[Step], ...] = (*STEPS, ho.Fly)
     keys = [(kind.name, key.name) for kind in kinds for key in keys_of(kind).values()]
-    assert {".".join(key) for key in keys if row_of(*key) not in request.STEP_KEYS} == NOT_COMPARED
-    assert request.STEP_KEYS.keys() <= {row_of(*key) for key in keys}
+    assert {".".join(key) for key in keys if row_of(*key) not in steps.STEP_KEYS} == NOT_COMPARED
+    assert steps.STEP_KEYS.keys() <= {row_of(*key) for key in keys}
 
 
 def test_places_in_order_are_found_only_where_they_are(tmp_path: Path) -> None:
