@@ -37,7 +37,7 @@ from hitchopt.mission.knobs import SPACE_CHECKS, knobs_of
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED
 from hitchopt.mission.trials import Trial, faults_of
-from hitchopt.planners.routes import BEST_ROUTE
+from hitchopt.planners.optimised_route import BEST_ROUTE
 from hitchopt.steps.knob import Knob
 from hitchopt.values import known
 

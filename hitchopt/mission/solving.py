@@ -1,29 +1,20 @@
-"""Planning of a problem in one loop over its steps, and a cache of finished steps."""
+"""Planning of a problem in one loop over its steps."""
 
 from __future__ import annotations
 
-import hashlib
-import math
-import pickle
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from hitchopt.checks import Certificate, merged
-from hitchopt.checks.arena import ARENA, nearest_wall
 from hitchopt.checks.certifying import with_rules
-from hitchopt.checks.linking import DURATION
-from hitchopt.checks.registry import RULES
-from hitchopt.checks.violations import infeasible_error, named_checks
-from hitchopt.drones.controllers import FlightController, Tube, of_same_firmware
+from hitchopt.checks.violations import infeasible_error
+from hitchopt.drones.controllers import FlightController, of_same_firmware
 from hitchopt.errors import (
-    EXCHANGED,
     HitchoptError,
     InfeasibleError,
-    OneLine,
     Progress,
     TimeLimitError,
     Violation,
@@ -33,7 +24,13 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.mission.alternatives import can_be_stiffer
+from hitchopt.mission.advice import (
+    placed_in_step,
+    refusal,
+    with_tilt_advice,
+    with_tracking_advice,
+)
+from hitchopt.mission.cache import Cache, digest
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
 from hitchopt.mission.teams import CertifiedFlight, schedule_teams
 from hitchopt.motion.flight import Flight
@@ -46,21 +43,13 @@ from hitchopt.planners.task import RestState, StepPlan, StepTask
 from hitchopt.steps.blended import plan_blended
 from hitchopt.steps.hitch_step import NonstopStep
 from hitchopt.steps.step import Step
-from hitchopt.values import Array, integer
+from hitchopt.values import Array
 
 if TYPE_CHECKING:
     from hitchopt.planners.path import Path
 
 AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
 UNPLANNED = "not checked yet: steps "  # Start of the note on steps that were not planned
-
-
-WIDENED = frozenset(rule.name for rule in RULES if rule.pairs)
-"""Checks of distances that ``limits.tracking`` increases."""
-
-
-OF_TWO = frozenset({"hinge", "tracking_radius"})
-"""Checks that errors in height break where two cables are tied around an object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,61 +64,6 @@ class CertifiedMotion:
 
     paths: tuple[Path | None, ...] = ()
     """Paths of the groups of steps; None for one that has none, or several."""
-
-
-def _with_tracking_advice(
-    error: InfeasibleError, requirements: Requirements, team: Team
-) -> InfeasibleError:
-    """Return an error with advice on distances that only tracking errors make too short."""
-    if not (tube := requirements.limits.tube).level:
-        return error
-    stiffer = ""
-    if tube == Tube.of(team.tracking) and can_be_stiffer(team.quadrotor):
-        stiffer = "use stiffer gains"
-        if any(len(of_same_firmware(x.controller)) > 1 for x in team.quadrotor if x.controller):
-            stiffer += " or another controller"
-        advice = (
-            f"{stiffer}, since its tracking errors of {tube} add to this distance; set "
-            "limits.tracking only to measured errors"
-        )
-    else:
-        advice = f"lower limits.tracking, but only to measured errors: {tube} adds to this distance"
-    of_two = (
-        "two cables can rarely be tied if vertical tracking errors exceed horizontal ones, here "
-        f"{tube}: set limits.tracking to {tube.level:g} if it was measured"
-    )
-    tied_by_two = team.has_cables and team.layout.closed and team.robots == 2
-    violations = list[Violation]()
-    for each in error.violations:
-        in_reach = (
-            each.unit != "m" or each.limit - each.value <= 2.0 * tube.largest
-        )  # of two bodies
-        if each.constraint in WIDENED and in_reach:
-            violations.append(replace(each, remedy=_remedy(each, advice)))
-        elif each.constraint in OF_TWO and tied_by_two and tube.ratio > 1.0:
-            own = f"{each.remedy}; " if each.constraint == "hinge" else ""
-            violations.append(replace(each, remedy=own + of_two))
-        elif each.constraint == "tracking_radius" and stiffer:
-            violations.append(replace(each, remedy=_remedy(each, stiffer)))
-        else:
-            violations.append(each)
-    return InfeasibleError(violations, error.note)
-
-
-def _with_tilt_advice(
-    error: InfeasibleError, requirements: Requirements, team: Team
-) -> InfeasibleError:
-    """Return an error that says where controllers, not ``limits.tilt``, limit the tilt."""
-    largest_tilt = float(np.min(team.max_tilt))
-    if requirements.limits.tilt < largest_tilt:
-        return error
-    by_controllers = f"the controllers tilt by at most {math.degrees(largest_tilt):.3g}°"
-    violations = list[Violation]()
-    for violation in error.violations:
-        is_silent = violation.constraint == "tilt" and by_controllers not in violation.remedy
-        remedy = f"{violation.remedy}; {by_controllers}" if is_silent else violation.remedy
-        violations.append(replace(violation, remedy=remedy))
-    return InfeasibleError(violations, error.note)
 
 
 def check_controllers(team: Team) -> None:
@@ -218,8 +152,8 @@ def _plan_alone(
     except TimeLimitError:
         raise
     except InfeasibleError as error:
-        advised = _with_tracking_advice(error, mission.requirements, mission.team)
-        advised = _with_tilt_advice(advised, mission.requirements, mission.team)
+        advised = with_tracking_advice(error, mission.requirements, mission.team)
+        advised = with_tilt_advice(advised, mission.requirements, mission.team)
         raise advised.of_team(mission.name) from error
 
 
@@ -246,7 +180,7 @@ def _plan_steps(
                 check_at_rest(start, with_reserve, AT_START)
             if not (isinstance(error, InfeasibleError) and mission.team.has_cables):
                 raise
-            named = _in_step(error, first, group)
+            named = placed_in_step(error, first, group)
             rest = [f"{i} ({step.name})" for i, step in enumerate(steps)][first + len(group) :]
             note = f"{UNPLANNED}{', '.join(rest)}" if rest else ""
             raise InfeasibleError(named.violations, f"{named.note}\n{note}".strip()) from error
@@ -260,7 +194,7 @@ def _plan_steps(
     if not certificate.certified:
         if start is not None:
             check_at_rest(start, with_reserve, AT_START)
-        raise _with_advice(CertifiedMotion(motion, certificate), steps)
+        raise refusal(motion, certificate, steps)
     if isinstance(mission.start, DronesStart):
         check_above_ground(motion)
     return CertifiedMotion(motion, certificate, tuple(plan.path for plan in plans))
@@ -277,51 +211,6 @@ def check_above_ground(motion: Motion) -> None:
     when = f"above the ground at about t = {motion.drones.breaks[piece]:.4g} s"
     remedy = "keep altitudes above 0, or add an arena with a lower floor"
     raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", where, when, remedy)])
-
-
-class Cache(OneLine):
-    """Plans of steps, for problems that are planned again after an edit.
-
-    Steps are planned anew only from the first one whose request differs. Requests are compared by
-    their contents; steps with a custom cost are not stored, since functions cannot be compared.
-    """
-
-    def __init__(self, size: int = 32) -> None:
-        """Create an empty cache of up to ``size`` steps; one of 1000 robots takes 76 MB."""
-        self.size = integer("size", size, 1)
-        self._plans: dict[bytes, StepPlan] = {}  # the least recently used first
-
-    def _parts(self) -> Iterator[str]:
-        yield f"{len(self._plans)} of {self.size} steps"
-
-    def take(self, request: bytes) -> StepPlan | None:
-        """Return the plan of a request, by its digest, and remove it; None if it is not stored."""
-        return self._plans.pop(request, None)
-
-    def store(self, request: bytes, plan: StepPlan) -> None:
-        """Store the plan of a request in place of the one that was not used for longest."""
-        self._plans[request] = plan
-        if len(self._plans) > self.size:
-            del self._plans[next(iter(self._plans))]
-
-
-def contents(value: Any) -> object:
-    """Return the contents of a request in built-in types; their repr is equal only if they are."""
-    kind: Any = type(value)
-    if kind in _SIMPLE:
-        return value
-    if kind is np.ndarray:
-        return value.dtype.str, value.shape, value.strides, value.tobytes()
-    if fields := getattr(kind, "__dataclass_fields__", None):  # Others follow from arguments
-        return kind, [contents(getattr(value, name)) for name, each in fields.items() if each.init]
-    if isinstance(value, Mapping):
-        return [(key, contents(each)) for key, each in value.items()]
-    if isinstance(value, (tuple, list)):
-        return kind, [contents(each) for each in value]
-    return value if isinstance(value, (str, int, float)) else pickle.dumps(value)
-
-
-_SIMPLE = {str, int, float, bool, type(None)}
 
 
 def _start_state(mission: TeamMission, requirements: Requirements, report: Progress) -> RestState:
@@ -366,7 +255,7 @@ def _plan_group(
     """Return the certified plan of steps without a stop, from the cache if possible."""
     if cache is None or any(getattr(step, "cost", None) is not None for step in group):
         return _new_plan(group, task, report)
-    request = hashlib.sha256(repr(contents((group, task))).encode()).digest()
+    request = digest((group, task))
     plan = cache.take(request)
     if plan is None:
         plan = _new_plan(group, task, report)
@@ -402,66 +291,3 @@ def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
         if not step.blends:
             yield first, tuple(steps[first : i + 1])
             first = i + 1
-
-
-def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
-    """Return the error with the step's name from the file in each violation."""
-    names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
-    violations = []
-    for violation in error.violations:
-        when = violation.when
-        if len(group) == 1:  # phases of a step have other names
-            when = re.sub(rf"step {first} \(\w+\)", f"step {names}", when)
-        if f"step {first}" not in when and "end of step" not in when:
-            when = f"{when} of step {names}".strip()
-        remedy = _remedy(violation, "omit blend" if len(group) > 1 else "")
-        violations.append(replace(violation, when=when, remedy=remedy))
-    return InfeasibleError(violations, error.note)
-
-
-def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> InfeasibleError:
-    """Return the error of a failed certificate with advice that depends on the steps."""
-    error = infeasible_error(certified.certificate, certified.motion)
-    named = named_checks(certified.certificate, Flight.of(certified.motion))
-    violations = []
-    for violation, check in zip(error.violations, named, strict=True):
-        indices = [p.step for p in certified.motion.phases if p.start <= check.time <= p.end]
-        neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
-        is_blended = any(step.blends for step in neighbours)
-        if check.name == DURATION.name:
-            violations.append(replace(violation, remedy=_duration_remedy(steps)))
-            continue
-        binding = check.binding or check.name
-        if binding == ARENA.name:
-            binding = nearest_wall(certified.motion, check)
-        of_steps = (steps[k].advice(binding, f"mission[{k}].{steps[k].name}") for k in indices)
-        advice = next(filter(None, of_steps), "omit blend" if is_blended else "")
-        violations.append(replace(violation, remedy=_remedy(violation, advice)))
-    return InfeasibleError(violations, error.note)
-
-
-def _remedy(violation: Violation, advice: str) -> str:
-    """Return the remedy of a violation with further advice; a question stays at its end."""
-    if not advice:
-        return violation.remedy
-    remedy = violation.remedy
-    question = ""
-    if remedy.endswith(EXCHANGED):
-        remedy = remedy.removesuffix(EXCHANGED)
-        question = EXCHANGED
-    return f"{remedy}, or {advice}{question}"
-
-
-def _duration_remedy(steps: Sequence[Step]) -> str:
-    """Return how to keep the largest duration of a plan, whose steps may prescribe theirs."""
-    prescribed = [
-        f"mission[{i}].{step.name}.{step.time_key}"
-        for i, step in enumerate(steps)
-        if step.prescribed_duration is not None
-    ]
-    remedies = ["raise limits.duration"]
-    if len(prescribed) < len(steps):
-        remedies.append("raise the limits of motion")
-    if prescribed:
-        remedies.append(f"lower {' or '.join(prescribed)}")
-    return ", or ".join(remedies)

@@ -20,11 +20,12 @@ import numpy as np
 
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 from hitchopt.geometry import Outline
+from hitchopt.mission.cache import Cache
 from hitchopt.mission.changes import with_edits_in
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem, TeamMission
 from hitchopt.mission.repair import NO_CHANGE, Suggestion, find_suggestions
-from hitchopt.mission.solving import Cache, solve_problem
+from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.teams import CertifiedFlight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at

@@ -23,7 +23,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.pairs import FIXED
 from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
 from hitchopt.live.lost import LAND_RULES
-from hitchopt.mission.solving import WIDENED
+from hitchopt.mission.advice import WIDENED
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial

@@ -13,7 +13,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify
-from hitchopt.mission.solving import contents
+from hitchopt.mission.cache import contents
 from hitchopt.steps import Step
 from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
 from hitchopt.steps.tying import Land, Release

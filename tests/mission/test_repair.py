@@ -20,12 +20,13 @@ from hitchopt.errors import FaultWarning, RequestError, UnitWarning
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission import repair
 from hitchopt.mission.alternatives import retuning_changes, rim_changes
+from hitchopt.mission.cache import contents
 from hitchopt.mission.changes import change_of, with_edits
 from hitchopt.mission.fitted_values import fitting_cables
 from hitchopt.mission.knobs import knobs_of, scaled_outlines, team_edit
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair import Suggestion, find_suggestions
-from hitchopt.mission.solving import contents, solve_problem
+from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.trials import Trial
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.knob import Edit, altitude_knobs

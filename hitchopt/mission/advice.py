@@ -1,0 +1,149 @@
+"""Advice of a refusal: what in the mission or its team, if changed, would make a plan possible."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hitchopt.checks import Certificate
+from hitchopt.checks.arena import ARENA, nearest_wall
+from hitchopt.checks.linking import DURATION
+from hitchopt.checks.registry import RULES
+from hitchopt.checks.violations import infeasible_error, named_checks
+from hitchopt.drones.controllers import Tube, of_same_firmware
+from hitchopt.errors import EXCHANGED, InfeasibleError, Violation
+from hitchopt.hitch import Team
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.mission.alternatives import can_be_stiffer
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.motion import Motion
+from hitchopt.steps.step import Step
+
+WIDENED = frozenset(rule.name for rule in RULES if rule.pairs)
+"""Checks of distances that ``limits.tracking`` increases."""
+
+
+OF_TWO = frozenset({"hinge", "tracking_radius"})
+"""Checks that errors in height break where two cables are tied around an object."""
+
+
+def with_tracking_advice(
+    error: InfeasibleError, requirements: Requirements, team: Team
+) -> InfeasibleError:
+    """Return an error with advice on distances that only tracking errors make too short."""
+    if not (tube := requirements.limits.tube).level:
+        return error
+    stiffer = ""
+    if tube == Tube.of(team.tracking) and can_be_stiffer(team.quadrotor):
+        stiffer = "use stiffer gains"
+        if any(len(of_same_firmware(x.controller)) > 1 for x in team.quadrotor if x.controller):
+            stiffer += " or another controller"
+        advice = (
+            f"{stiffer}, since its tracking errors of {tube} add to this distance; set "
+            "limits.tracking only to measured errors"
+        )
+    else:
+        advice = f"lower limits.tracking, but only to measured errors: {tube} adds to this distance"
+    of_two = (
+        "two cables can rarely be tied if vertical tracking errors exceed horizontal ones, here "
+        f"{tube}: set limits.tracking to {tube.level:g} if it was measured"
+    )
+    tied_by_two = team.has_cables and team.layout.closed and team.robots == 2
+    violations = list[Violation]()
+    for each in error.violations:
+        in_reach = (
+            each.unit != "m" or each.limit - each.value <= 2.0 * tube.largest
+        )  # of two bodies
+        if each.constraint in WIDENED and in_reach:
+            violations.append(replace(each, remedy=_remedy(each, advice)))
+        elif each.constraint in OF_TWO and tied_by_two and tube.ratio > 1.0:
+            own = f"{each.remedy}; " if each.constraint == "hinge" else ""
+            violations.append(replace(each, remedy=own + of_two))
+        elif each.constraint == "tracking_radius" and stiffer:
+            violations.append(replace(each, remedy=_remedy(each, stiffer)))
+        else:
+            violations.append(each)
+    return InfeasibleError(violations, error.note)
+
+
+def with_tilt_advice(
+    error: InfeasibleError, requirements: Requirements, team: Team
+) -> InfeasibleError:
+    """Return an error that says where controllers, not ``limits.tilt``, limit the tilt."""
+    largest_tilt = float(np.min(team.max_tilt))
+    if requirements.limits.tilt < largest_tilt:
+        return error
+    by_controllers = f"the controllers tilt by at most {math.degrees(largest_tilt):.3g}°"
+    violations = list[Violation]()
+    for violation in error.violations:
+        is_silent = violation.constraint == "tilt" and by_controllers not in violation.remedy
+        remedy = f"{violation.remedy}; {by_controllers}" if is_silent else violation.remedy
+        violations.append(replace(violation, remedy=remedy))
+    return InfeasibleError(violations, error.note)
+
+
+def placed_in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
+    """Return the error with the step's name from the file in each violation."""
+    names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
+    violations = []
+    for violation in error.violations:
+        when = violation.when
+        if len(group) == 1:  # phases of a step have other names
+            when = re.sub(rf"step {first} \(\w+\)", f"step {names}", when)
+        if f"step {first}" not in when and "end of step" not in when:
+            when = f"{when} of step {names}".strip()
+        remedy = _remedy(violation, "omit blend" if len(group) > 1 else "")
+        violations.append(replace(violation, when=when, remedy=remedy))
+    return InfeasibleError(violations, error.note)
+
+
+def refusal(motion: Motion, certificate: Certificate, steps: Sequence[Step]) -> InfeasibleError:
+    """Return the error of a failed certificate with advice that depends on the steps."""
+    error = infeasible_error(certificate, motion)
+    named = named_checks(certificate, Flight.of(motion))
+    violations = []
+    for violation, check in zip(error.violations, named, strict=True):
+        indices = [p.step for p in motion.phases if p.start <= check.time <= p.end]
+        neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
+        is_blended = any(step.blends for step in neighbours)
+        if check.name == DURATION.name:
+            violations.append(replace(violation, remedy=_duration_remedy(steps)))
+            continue
+        binding = check.binding or check.name
+        if binding == ARENA.name:
+            binding = nearest_wall(motion, check)
+        of_steps = (steps[k].advice(binding, f"mission[{k}].{steps[k].name}") for k in indices)
+        advice = next(filter(None, of_steps), "omit blend" if is_blended else "")
+        violations.append(replace(violation, remedy=_remedy(violation, advice)))
+    return InfeasibleError(violations, error.note)
+
+
+def _remedy(violation: Violation, advice: str) -> str:
+    """Return the remedy of a violation with further advice; a question stays at its end."""
+    if not advice:
+        return violation.remedy
+    remedy = violation.remedy
+    question = ""
+    if remedy.endswith(EXCHANGED):
+        remedy = remedy.removesuffix(EXCHANGED)
+        question = EXCHANGED
+    return f"{remedy}, or {advice}{question}"
+
+
+def _duration_remedy(steps: Sequence[Step]) -> str:
+    """Return how to keep the largest duration of a plan, whose steps may prescribe theirs."""
+    prescribed = [
+        f"mission[{i}].{step.name}.{step.time_key}"
+        for i, step in enumerate(steps)
+        if step.prescribed_duration is not None
+    ]
+    remedies = ["raise limits.duration"]
+    if len(prescribed) < len(steps):
+        remedies.append("raise the limits of motion")
+    if prescribed:
+        remedies.append(f"lower {' or '.join(prescribed)}")
+    return ", or ".join(remedies)
