@@ -20,17 +20,13 @@ from hitchopt.hitch.quadratic_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.hitch.series import chained
 from hitchopt.planners.separation import SeparatedCurves, SeparationResult, SeparationTask
-from hitchopt.planners.separation.guesses import (
-    on_layers,
-    points_along,
-    pushed_apart,
-    routes_around,
-    setting_of,
-    stuck_in_prisms,
-)
+from hitchopt.planners.separation.around_prisms import points_along, routes_around
+from hitchopt.planners.separation.guesses import on_layers, pushed_apart, stuck_in_prisms
+from hitchopt.planners.separation.nominal import setting_of
 from hitchopt.planners.separation.one_by_one import order_of
 from hitchopt.planners.separation.program import hull_points, planes_to_prism, solve_program
 from hitchopt.planners.separation.retiming import retimed
+from hitchopt.planners.separation.search import SearchTuning
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from problems.swarm import antipodal_circle, square_mission
@@ -368,7 +364,7 @@ def test_planes_to_prisms_get_the_margin_that_curves_lacked(
         gaps.append(float(np.min(planes.gaps)))
         return np.asarray(coefficients)
 
-    monkeypatch.setattr(planner, "moved_curves", unmoved)
+    monkeypatch.setattr("hitchopt.planners.separation.search.moved_curves", unmoved)
     monkeypatch.setattr(planner, "_guesses", lambda _: iter([guess]))
     with pytest.raises(InfeasibleError, match="keep_out"):
         separate(task)
@@ -466,7 +462,8 @@ def test_a_faster_clock_leads_drones_along_the_same_curves() -> None:
 
 
 def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module(SeparatedCurves.__module__), "LARGE_CROWD", 40)
+    crowded = SearchTuning(large_crowd=40)
+    monkeypatch.setattr("hitchopt.planners.separation.search.IN_FREE_SPACE", crowded)
     monkeypatch.setattr(
         "hitchopt.planners.separation.guesses.MAX_PUSH_ITERATIONS", 2
     )  # guesses are not clear
