@@ -13,9 +13,9 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Phase
+from hitchopt.planners.along import MAX_ROLLING, past_obstacles
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
-from hitchopt.planners.routes import MAX_ROLLING, past_obstacles
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class BlendedSteps:
             plan = self.task.plan_ending(slowed, passed[-1])
             return with_friction_feedforward(plan, timed=False)
 
-        path = morph.problem
+        path = morph.path
         if not rolls:
             return past_obstacles(self.task, along(path), path, along)
         paths = rolling_paths(path, requirements)[:MAX_ROLLING] or [path]

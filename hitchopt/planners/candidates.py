@@ -168,8 +168,8 @@ def first_feasible(candidates: Iterable[Candidate[T]], otherwise: U) -> T | U:
     Nothing is said of failures but planners' faults.
     """
     fallback: Candidate[T | U] = Candidate("as it is", lambda: otherwise)
-    ways: list[Candidate[T | U]] = [*candidates, fallback]
-    return first_certified(ways, Effort())
+    with_fallback: list[Candidate[T | U]] = [*candidates, fallback]
+    return first_certified(with_fallback, Effort())
 
 
 def outcome(query: Callable[[], T]) -> T | InfeasibleError:

@@ -18,6 +18,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.motion.motion import Motion, Phase, PhaseHold
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, stacked_on
+from hitchopt.planners.along import transport_plan
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.around import (
     PLACE_TOLERANCE,
@@ -38,7 +39,7 @@ from hitchopt.planners.carrying.planner import (
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import RolledLegs, end_of_morph
 from hitchopt.planners.grasps import Closing, HoldJudge, altitude_around
-from hitchopt.planners.routes import morph_plan, plan_to_hitch, transport_plan
+from hitchopt.planners.routes import morph_plan, plan_to_hitch
 from hitchopt.planners.task import (
     StepPlan,
     StepTask,

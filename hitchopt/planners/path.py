@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -15,12 +14,11 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.model import DroneJets, FlatJets, cable_of_span, drone_jets
 from hitchopt.hitch.series import JET, Series, product
+from hitchopt.planners.sampling import FunctionOrKnots, sampled
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import summed
-from hitchopt.trajectory.splines import evenly_interpolated, interpolated
 from hitchopt.values import (
     Array,
-    Points,
     as_array,
     bounded_points,
     check_instance,
@@ -109,27 +107,6 @@ class LegLaw:
         return self.length.jet(s, count) + part_of_slack
 
 
-FUNCTION_SAMPLES = (65, 129, 257, 513)
-"""Numbers of samples of a function of s, tried until the spline fits between them."""
-
-FIT_TOLERANCE = 1e-4
-"""Largest difference of a spline from its function between samples [m or rad]."""
-
-FIT_TESTS = 2048
-"""Number of s at which a fit is tested, multiples of the golden ratio modulo 1. No periodic
-function vanishes at all of them, and they are at most 0.001 apart."""
-
-GOLDEN_RATIO = 0.5 * (1.0 + math.sqrt(5.0))
-
-MIN_KNOTS = 3
-"""Smallest number of knots of a natural quintic spline."""
-
-SMOOTH_AT_REST = "smooth, with zero velocity and acceleration at both ends"
-
-FunctionOrKnots = Points | Callable[[float], Points]
-"""Values over s: a function of s from 0 to 1, or knots (J, …) at evenly spaced s."""
-
-
 @dataclass(frozen=True, eq=False)
 class Path(OneLine):
     """The shapes of a hitch over a parameter s from 0 to 1: polynomials without timing.
@@ -196,7 +173,7 @@ class Path(OneLine):
         height = coordinate("altitude", altitude)
         seconds = None if duration is None else positive("duration", duration)
         is_timed = seconds is not None
-        samples = _sampled("vertices", vertices, ((points, 2), (points, 3)), at_rest=is_timed)
+        samples = sampled("vertices", vertices, ((points, 2), (points, 3)), at_rest=is_timed)
         positions = bounded_points("vertices", samples.values)
         if positions.shape[-1] == 2:
             heights = np.full((*positions.shape[:2], 1), height)
@@ -206,11 +183,11 @@ class Path(OneLine):
             halves = PiecewisePolynomial.constant([0.0, 1.0], np.full(team.robots, 0.5))
             law = LegLaw.of_fractions(halves)
         else:
-            lengths = _sampled("legs", legs, ((team.robots,),), at_rest=is_timed)
+            lengths = sampled("legs", legs, ((team.robots,),), at_rest=is_timed)
             law = LegLaw.of_lengths(lengths.spline)
         roll_spline = None
         if roll is not None:
-            angles = _sampled("roll", roll, ((len(team.layout.clasps),),), at_rest=is_timed)
+            angles = sampled("roll", roll, ((len(team.layout.clasps),),), at_rest=is_timed)
             roll_spline = angles.spline
         return cls(team, spline, law, roll=roll_spline, duration=seconds)
 
@@ -319,101 +296,6 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
         cable_jets = cable_of_span(chord, tension, weight).cable.jet[..., 0, :]
     has_chord = chords[..., 0].any(axis=-1, keepdims=True)  # false for legs at a chain's ends
     return np.where(has_chord, cable_jets, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class EvenSamples:
-    """Values at evenly spaced s from 0 to 1."""
-
-    values: Array
-    """(J, *shape)"""
-
-    smooth: bool
-    """True if the values are samples of a function, not knots."""
-
-    at_rest: bool
-    """True if the first two derivatives vanish at both ends."""
-
-    @property
-    def spline(self) -> PiecewisePolynomial:
-        """The quintic spline through the values."""
-        if self.smooth and not self.at_rest:
-            return evenly_interpolated(self.values)
-        s = np.linspace(0.0, 1.0, len(self.values))
-        return interpolated(s, self.values, zero_orders=(1, 2) if self.at_rest else (3, 4))
-
-
-ValueShape = tuple[int, ...]
-"""Shape of the value of a function of s, or of a knot."""
-
-
-def _sampled(
-    key: str, given: FunctionOrKnots, shapes: tuple[ValueShape, ...], *, at_rest: bool
-) -> EvenSamples:
-    """Return samples of a function of s, or knots, whose values have one of the shapes."""
-    if callable(given):
-        return _fitted(key, given, shapes, at_rest=at_rest)
-    values = as_array(key, given)
-    if values.shape[1:] not in shapes or len(values) < MIN_KNOTS:
-        bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {_words(shapes)}"
-        remedy = "specify a knot for each of evenly spaced s from 0 to 1"
-        raise InputError(key, given, bound, remedy)
-    return EvenSamples(_finite(key, values), smooth=False, at_rest=at_rest)
-
-
-def _fitted(
-    key: str,
-    function: Callable[[float], Points],
-    shapes: tuple[ValueShape, ...],
-    *,
-    at_rest: bool,
-) -> EvenSamples:
-    """Return as many samples of a function of s as its spline needs to fit between them."""
-    tested = np.sort(np.arange(1, FIT_TESTS + 1) * GOLDEN_RATIO % 1.0)
-    expected = _values(key, function, shapes, tested)
-    for count in FUNCTION_SAMPLES:
-        s = np.linspace(0.0, 1.0, count)
-        values = _values(key, function, shapes, s)
-        samples = EvenSamples(values, smooth=True, at_rest=at_rest)
-        differences = np.abs(samples.spline.at(tested) - expected)
-        misfits = np.max(differences.reshape(len(tested), -1), axis=1)
-        if np.max(misfits) <= FIT_TOLERANCE:
-            return samples
-    worst = int(np.argmax(misfits))
-    misfit = f"off by {misfits[worst]:.2g} between {count} samples near s = {tested[worst]:.3g}"
-    bound = f"{SMOOTH_AT_REST if at_rest else 'smooth'}, within {FIT_TOLERANCE:g} of its spline"
-    raise InputError(key, misfit, bound, "make it smoother or split the path")
-
-
-def _values(
-    key: str, function: Callable[[float], Points], shapes: tuple[ValueShape, ...], s: Array
-) -> Array:
-    """Return the finite values (J, *shape) of a function at s (J,)."""
-    bound = f"a function of s to shape {_words(shapes)}"
-    try:
-        values = [as_array(key, function(parameter)) for parameter in s.tolist()]
-    except (TypeError, ValueError) as error:
-        raise InputError(key, function, bound, f"it raises {error}") from error
-    value_shapes = [value.shape for value in values]
-    wrong_shape = next((shape for shape in value_shapes if shape not in shapes), None)
-    if wrong_shape is None and len(set(value_shapes)) > 1:
-        wrong_shape = value_shapes[0]
-    if wrong_shape is not None:
-        remedy = "return a row per point or robot, as numbers"
-        raise InputError(key, f"shape {wrong_shape}", bound, remedy)
-    return _finite(key, np.stack(values))
-
-
-def _words(shapes: tuple[ValueShape, ...]) -> str:
-    """Return shapes in words, such as ``(3, 2) or (3, 3)``."""
-    return " or ".join(map(str, shapes))
-
-
-def _finite(key: str, values: Array) -> Array:
-    """Return values, or raise InputError if they are not finite."""
-    if not np.all(np.isfinite(values)):
-        raise InputError(key, "nan or infinite", "finite for s from 0 to 1", "check its formula")
-    return values
 
 
 def _checked_s(s: ArrayLike) -> Array:

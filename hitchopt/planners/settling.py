@@ -23,10 +23,10 @@ from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import SETTLE, Motion, Phase, concatenated
 from hitchopt.motion.states import states_at
+from hitchopt.planners.along import straight_plan
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.ends import end_of_morph
 from hitchopt.planners.rests import IDLE, rest_motion, rest_plan
-from hitchopt.planners.routes import straight_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.values import Array, counted
 from hitchopt.values.fields import with_fields

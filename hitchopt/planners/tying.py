@@ -21,12 +21,13 @@ from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
+from hitchopt.planners.along import action_plan
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import RolledLegs, SlackSplit, end_of_action, split_hitch
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.rests import check_at_rest, check_hover, rest_plan
-from hitchopt.planners.routes import RouteSearch, action_plan, plan_to_hitch
+from hitchopt.planners.routes import RouteSearch, plan_to_hitch
 from hitchopt.planners.task import StepPlan, StepTask, require_certified, require_tracking
 from hitchopt.values import Array, Indices
 from hitchopt.values.fields import with_fields

@@ -97,7 +97,7 @@ def _plan_nonstop(steps: Sequence[NonstopStep], task: StepTask) -> StepPlan:
         for index, step in enumerate(steps, task.index):
             step_task = replace(task.within(task.requirements, state), index=index)
             untimed = with_fields(step, duration=None)
-            plans.append(require_certified(untimed.fly(step_task)))
+            plans.append(require_certified(untimed.plan_uncompensated(step_task)))
             state = plans[-1].after
         return plans
 

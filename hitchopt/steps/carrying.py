@@ -14,6 +14,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, surface_below
+from hitchopt.planners.along import OBSTACLE_CHECKS
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.hinge import check_hinge
 from hitchopt.planners.carrying.moves import Move
@@ -29,7 +30,6 @@ from hitchopt.planners.enclosing import (
     require_lift,
     resting_plan,
 )
-from hitchopt.planners.routes import OBSTACLE_CHECKS
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.keys import ObjectOf, Place, Seconds, Yaw
 from hitchopt.steps.knob import Knob, checks_relaxed_by

@@ -8,17 +8,12 @@ from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from hitchopt.hitch import Hitch
+from hitchopt.planners.along import action_plan, end_of_step, rolling_action_plan
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action
 from hitchopt.planners.rests import check_at_rest
-from hitchopt.planners.routes import (
-    RouteSearch,
-    action_plan,
-    end_of_step,
-    leg_candidates,
-    rolling_action_plan,
-)
+from hitchopt.planners.routes import RouteSearch, leg_candidates
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.keys import Legs
 from hitchopt.steps.step import Step
@@ -33,10 +28,12 @@ class HitchStep(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step with friction feed-forward."""
-        return with_friction_feedforward(self.fly(task), timed=self.prescribed_duration is not None)
+        return with_friction_feedforward(
+            self.plan_uncompensated(task), timed=self.prescribed_duration is not None
+        )
 
     @abstractmethod
-    def fly(self, task: StepTask) -> StepPlan:
+    def plan_uncompensated(self, task: StepTask) -> StepPlan:
         """Return the plan without friction feed-forward."""
 
     def check_end(self, end: Hitch, task: StepTask) -> None:
@@ -67,20 +64,20 @@ class ShapeStep(NonstopStep):
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan along the direct route, with the step's own leg lengths."""
 
-    def fly(self, task: StepTask) -> StepPlan:
+    def plan_uncompensated(self, task: StepTask) -> StepPlan:
         """Return the first certified plan of those that differ in the legs at the end."""
-        return first_certified(self.ways(task), task.effort, task.progress)
+        return first_certified(self.candidates(task), task.effort, task.progress)
 
-    def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
+    def candidates(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
         """Yield the plans to the nearest legs, and to spread ones where these are infeasible."""
 
         def plan_with(legs: Legs | None) -> StepPlan:
             """Return the plan to legs."""
-            return with_fields(self, legs=legs).fly_to_end(task)
+            return with_fields(self, legs=legs).plan_route(task)
 
         return leg_candidates(task, self.phase(task), self.legs, plan_with)
 
-    def fly_to_end(self, task: StepTask) -> StepPlan:
+    def plan_route(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
         return self.search(task, self.end(task)).plan()
 

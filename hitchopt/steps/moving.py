@@ -19,10 +19,11 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion
+from hitchopt.planners.along import plan_like, rigid_plan, straight_plan
 from hitchopt.planners.candidates import Candidate
 from hitchopt.planners.ends import End, end_of_morph, end_of_transport, moved_points
 from hitchopt.planners.rests import hover_motion, rest_motion
-from hitchopt.planners.routes import RouteSearch, plan_like, rigid_plan, straight_plan
+from hitchopt.planners.routes import RouteSearch
 from hitchopt.planners.settling import settling_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.hitch_step import ActionStep, HitchStep, NonstopStep, ShapeStep
@@ -95,7 +96,7 @@ class Hold(HitchStep):
             return super().plan(task)
         return StepPlan(hover_motion(task, self.seconds), before)
 
-    def fly(self, task: StepTask) -> StepPlan:
+    def plan_uncompensated(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch at rest."""
         return task.plan_ending(self._at_rest(task), task.hitch)
 
@@ -202,12 +203,12 @@ class Morph(ShapeStep):
         """Return the hitch on the polygon."""
         return end_of_morph(task.hitch, self.outline, self.split, task.requirements)
 
-    def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
+    def candidates(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
         """Yield the plan on the route of an earlier one, if any, before all others."""
         if self.like is not None:
             ends = self.end(task).hitch, self.phase(task), self.duration
             yield Candidate("earlier route", partial(plan_like, task, self.like, *ends))
-        yield from super().ways(task)
+        yield from super().candidates(task)
 
     def search(self, task: StepTask, end: End) -> RouteSearch:
         """Return the search of a route, also of a faster one, with the step's options."""
@@ -467,13 +468,13 @@ class FollowVertex(ActionStep):
         turns_back = np.sum(along[1:] * along[:-1], axis=1) < -RIGHT_ANGLE
         return np.split(self.points, np.flatnonzero(turns_back) + 1)
 
-    def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
+    def candidates(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
         """Yield the plans of the whole path, and of parts between whose ends legs are spread.
 
         Where legs come too close on the whole path, a plan follows on which they roll.
         """
-        for way, legs in zip(super().ways(task), (self.legs, "spread"), strict=False):
-            yield replace(way, amended=partial(with_fields(self, legs=legs).rolling, task))
+        for candidate, legs in zip(super().candidates(task), (self.legs, "spread"), strict=False):
+            yield replace(candidate, amended=partial(with_fields(self, legs=legs).rolling, task))
         count = len(self.points)
         for parts in () if self.is_timed else sorted({2, 4, count}):
             if 1 < parts <= count:
@@ -495,11 +496,11 @@ class FollowVertex(ActionStep):
         spread = replace(self, legs="spread")
         pieces = [replace(spread, path=path) for path in np.array_split(self.points, parts)]
         pieces[-1] = replace(pieces[-1], legs=self.legs or "spread")
-        plan = plan_in_sequence([piece.fly_to_end for piece in pieces], task)
+        plan = plan_in_sequence([piece.plan_route for piece in pieces], task)
         stops = "once" if parts == 2 else f"{parts - 1} times"
         return plan.with_remark(f"stops {stops} on the way, where legs are spread")
 
-    def fly_to_end(self, task: StepTask) -> StepPlan:
+    def plan_route(self, task: StepTask) -> StepPlan:
         """Return the plan along the points, with legs that slide if necessary."""
         return self._flight(self.direct_plan, task)
 
@@ -617,7 +618,7 @@ class Transport(NonstopStep):
         ]
         return [step.end(task).hitch for step in (*on_way, self)]
 
-    def fly(self, task: StepTask) -> StepPlan:
+    def plan_uncompensated(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
         return rigid_plan(task, np.asarray(self.to), self.yaw, self.phase(task), self.duration)
 

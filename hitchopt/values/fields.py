@@ -274,13 +274,13 @@ def _type_in_words(hint: Any) -> str:
     return re.sub(r"\b(?:\w+\.)+(?=\w)", "", " | ".join(words)).replace("NoneType", "None")
 
 
-def parameter_docs(record: type[Any], exclude: str = "") -> str:
-    """Return the fields of a record, except one, in the format of docstrings."""
+def parameter_docs(record: type[Any]) -> str:
+    """Return the fields of a record in the format of docstrings."""
     lines = []
     for name, key in keys_of(record).items():
         text = key.described(key.kind).replace("null:", "None:")
         line = f"{name}: {text[0].lower()}{text[1:]}."
-        lines += [textwrap.fill(line, 92, subsequent_indent="    ")] * (name != exclude)
+        lines.append(textwrap.fill(line, 92, subsequent_indent="    "))
     return "\n".join(lines)
 
 

@@ -27,13 +27,12 @@ from hitchopt.planners.timing.profile import (
     path_grid,
 )
 from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
+from hitchopt.planners.timing.stretch import needed_stretch, turning_stretch
 from hitchopt.planners.timing.timed_motion import (
-    GRID,
     MAX_PEAK,
+    TIMING_GRID,
     fastest_motion,
     motion_along,
-    needed_stretch,
-    turning_stretch,
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values.fields import with_fields
@@ -71,7 +70,9 @@ def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
     limits = Limits(v, a, j, tilt=1.5, vertex_speed=100.0)
     path = Path.straight(*ends(4, 3, limits, (0.6 * distance, 0.8 * distance)))
     bang = distance / v + v / a if distance > v * v / a else 2.0 * math.sqrt(distance / a)
-    profile = fastest_profile(path_grid(GRID), Demands.along(path, limits, path_grid(GRID)))
+    profile = fastest_profile(
+        path_grid(TIMING_GRID), Demands.along(path, limits, path_grid(TIMING_GRID))
+    )
     assert profile.duration == pytest.approx(bang, rel=2e-3)
     optimum = fastest_clock(distance, v, a, j).duration
     assert optimum <= motion_along(path, Requirements(limits)).duration <= 1.02 * optimum
@@ -95,7 +96,7 @@ def test_lines_of_any_length_take_the_known_time_also_if_the_path_pauses(
     distance: float, pause: float
 ) -> None:
     """Where the drones do not move with the path's parameter, its speed is unbounded."""
-    s, (v, a) = path_grid(GRID), (0.8, 2.0)
+    s, (v, a) = path_grid(TIMING_GRID), (0.8, 2.0)
     moving = np.abs(s - 0.5) >= 0.5 * pause
     progress = np.where(
         s < 0.5, np.minimum(s, 0.5 - 0.5 * pause), np.maximum(s - pause, 0.5 - 0.5 * pause)

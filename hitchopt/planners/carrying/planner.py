@@ -366,7 +366,7 @@ class MovePlanner:
         if no slowing satisfies them. That of checks is not: for a move that violates one, or that
         the hold cannot carry, it is SLOWING_FACTOR.
         """
-        from hitchopt.planners.timing.timed_motion import needed_stretch
+        from hitchopt.planners.timing.stretch import needed_stretch
 
         try:
             motion = self.motion([move])

@@ -36,7 +36,7 @@ from hitchopt.planners.forming.stages import (
     hover_altitude,
     straight_stages,
 )
-from hitchopt.planners.timing.timed_motion import needed_stretch
+from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

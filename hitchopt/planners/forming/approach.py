@@ -80,16 +80,16 @@ class Approach(ABC):
 
     @property
     @abstractmethod
-    def problem(self) -> SeparationTask:
+    def task(self) -> SeparationTask:
         """The task of the separation planner."""
 
     @abstractmethod
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, or raise InfeasibleError."""
 
-    def _stage(self, name: str, drones: PiecewisePolynomial) -> Motion:
+    def _stage(self, drones: PiecewisePolynomial) -> Motion:
         """Return the motion of drones with hanging cables as one phase."""
-        return stage(name, drones, self.team, self.requirements, self.index)
+        return stage("approach", drones, self.team, self.requirements, self.index)
 
     def _lines(self, start: Array, *keyframes: Keyframe) -> list[Motion]:
         """Return the motions of all drones on straight lines from a start to keyframes."""
@@ -153,7 +153,7 @@ class DirectApproach(Approach):
         return 0.0
 
     @cached_property
-    def problem(self) -> SeparationTask:
+    def task(self) -> SeparationTask:
         """The flight of all drones, with the two drones of a cable tethered."""
         longest_spans = (MAX_SPAN_RATIO * self.team.cable_length).tolist()
         start = self._after_take_off()
@@ -168,18 +168,18 @@ class DirectApproach(Approach):
 
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, raised as a whole if cables come near the ground."""
-        start = self.problem.start
+        start = self.task.start
         goal = self.goal
         take_off = self._lines(self.start, Keyframe(TAKE_OFF, start, CableState.GROUND))
         if np.max(np.abs(goal - start)) < POSITION_TOLERANCE:
             pause = PiecewisePolynomial.constant([0.0, PAUSE], goal)
-            return [*take_off, self._stage("approach", pause)]
-        flight = separated(self.problem)
+            return [*take_off, self._stage(pause)]
+        flight = separated(self.task)
         times = np.linspace(flight.breaks[0], flight.breaks[-1], 101)
         missing = missing_height(self.team, flight.at(times), self.requirements)
         deficit = missing + self.obstacle_height
         if deficit <= 0.0:
-            return [*take_off, self._stage("approach", flight)]
+            return [*take_off, self._stage(flight)]
         rise = deficit + RISE_RESERVE * self.requirements.separation.cable
         return self._raised(take_off, flight, np.array([0.0, 0.0, rise]))
 
@@ -187,7 +187,7 @@ class DirectApproach(Approach):
         self, take_off: Sequence[Motion], flight: PiecewisePolynomial, up: Array
     ) -> list[Motion]:
         """Return the motions of a flight that is raised by an offset (3,) [m]."""
-        start = self.problem.start
+        start = self.task.start
         goal = self.goal
         # Position errors often require a rise: drones climb once then
         if take_off and self.requirements.position_error:
@@ -196,7 +196,7 @@ class DirectApproach(Approach):
             climb = [*take_off, *self._lines(start, Keyframe("climb", start + up))]
         higher = PiecewisePolynomial(flight.breaks, flight.coefficients + up[:, None])
         descent = self._lines(goal + up, Keyframe("descend", goal))
-        return [*climb, self._stage("approach", higher), *descent]
+        return [*climb, self._stage(higher), *descent]
 
 
 class OverApproach(DirectApproach):
@@ -237,7 +237,7 @@ class GatheredApproach(Approach):
     name: ClassVar[str] = "gathered approach"
 
     @cached_property
-    def problem(self) -> SeparationTask:
+    def task(self) -> SeparationTask:
         """The flight of the discs' centres, (n, 3) [m]."""
         from scipy.spatial.distance import pdist
 
@@ -264,7 +264,7 @@ class GatheredApproach(Approach):
 
     def solve(self) -> list[Motion]:
         """Return the motions: gathering, turning, flying as discs, and opening."""
-        task = self.problem
+        task = self.task
         headings = self._headings
         gathering = self._lines(
             self.start,
@@ -275,7 +275,7 @@ class GatheredApproach(Approach):
         flight = separated(task)
         centres = np.moveaxis(flight.coefficients, -1, 1)
         drones = np.moveaxis(self._pairs(centres, headings.at_goal), 1, -1)
-        approach = self._stage("approach", PiecewisePolynomial(flight.breaks, drones))
+        approach = self._stage(PiecewisePolynomial(flight.breaks, drones))
         over_goal = self.goal.copy()
         over_goal[:, 2] = np.maximum(over_goal[:, 2], task.goal[0, 2])
         opening = self._lines(

@@ -21,7 +21,7 @@ from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.morph.morph import POSITION_TOLERANCE
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.planners.timing.timed_motion import turning_stretch
+from hitchopt.planners.timing.stretch import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import joined
 from hitchopt.values import Array

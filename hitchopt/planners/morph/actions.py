@@ -41,6 +41,7 @@ from hitchopt.planners.path import (
     roll_between,
     shapes_along,
 )
+from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MAX_PIECES,
@@ -49,7 +50,6 @@ from hitchopt.planners.timing.timed_motion import (
     clocked_limits,
     in_duration,
     motion_along,
-    needed_stretch,
 )
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
@@ -255,7 +255,7 @@ class ActionMorph:
         return self.action.path(self.end)
 
     @cached_property
-    def problem(self) -> Path:
+    def path(self) -> Path:
         """The path to be timed; raises InfeasibleError as ``straight_path``."""
         by_law = self.path_by_law
         violation = shape_violation(by_law)
@@ -288,13 +288,13 @@ class ActionMorph:
     def solve(self) -> FlownAction | None:
         """Return the flight; None if nothing moves.
 
-        Errors are those of ``problem`` and ``motion_along``.
+        Errors are those of ``path`` and ``motion_along``.
         """
         action = self.action
         distance = np.max(np.abs(self.end.drones - action.start.drones))
         if action.track is None and distance < POSITION_TOLERANCE:
             return None
-        return self.flown(self.problem)
+        return self.flown(self.path)
 
     def flown(self, path: Path) -> FlownAction:
         """Return the flight along one of its paths; errors are those of ``motion_along``."""

@@ -30,7 +30,7 @@ from hitchopt.hitch.series import JET, chained, product
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.path import cable_along
-from hitchopt.planners.timing.timed_motion import needed_stretch
+from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import divided, on_breaks
 from hitchopt.trajectory.splines import bspline

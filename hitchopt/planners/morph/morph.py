@@ -18,7 +18,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.path import FlatPath, LegLaw, Path, drones_along, shapes_along
 from hitchopt.planners.timing.profile import demands_along, hover_violation, path_grid
-from hitchopt.planners.timing.timed_motion import GRID, motion_along
+from hitchopt.planners.timing.timed_motion import TIMING_GRID, motion_along
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
@@ -136,12 +136,12 @@ def check_loads(path: FlatPath, limits: Limits) -> None:
 
 def load_violation(path: FlatPath, limits: Limits) -> Violation | None:
     """Return the violation of a limit by hovering at a point at which the path is timed."""
-    when = [f"at rest at {s:.0%} of the path" for s in path_grid(GRID)]
+    when = [f"at rest at {s:.0%} of the path" for s in path_grid(TIMING_GRID)]
     remedies = (
         "use a drone with more thrust, or lower team.tension",
         "allow more tilt, or use heavier drones, or lower team.tension",
     )
-    loads = demands_along(path, limits, GRID).loads
+    loads = demands_along(path, limits, TIMING_GRID).loads
     return hover_violation(path.team, limits, loads, when, remedies)
 
 
@@ -177,7 +177,7 @@ class BlendedMorph:
         return interpolated(self.knots, np.stack(values), zero_orders=(3, 4))
 
     @cached_property
-    def problem(self) -> Path:
+    def path(self) -> Path:
         """The path to be timed.
 
         Raises InfeasibleError as for a straight morph, or if the path has a point of zero speed.
@@ -192,7 +192,7 @@ class BlendedMorph:
             roll=roll if np.any(roll.coefficients) else None,
         )
         check_shapes(path)
-        grid = np.linspace(0.0, 1.0, GRID + 1)
+        grid = np.linspace(0.0, 1.0, TIMING_GRID + 1)
         speed = np.max(length(drones_along(path, grid).positions[..., 1]), axis=1)
         slowest = int(np.argmin(speed))
         ratio = float(np.min(speed) / np.mean(speed))
@@ -206,7 +206,7 @@ class BlendedMorph:
         return path
 
     def timed(self, path: Path) -> tuple[Motion, Array]:
-        """Return the motion along ``problem`` or a detour, and times (J - 2,) [s] at inner hitches.
+        """Return the motion along ``path`` or a detour, and times (J - 2,) [s] at inner hitches.
 
         Raises TimingError if no timing was found.
         """

@@ -11,15 +11,16 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import fitted_hitch
-from hitchopt.planners.path import EvenSamples, LegLaw, Path
+from hitchopt.planners.path import LegLaw, Path
+from hitchopt.planners.sampling import EvenSamples
 from hitchopt.planners.timing.clock import Clock
+from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MIN_DURATION,
     cable_error,
     in_duration,
     motion_by,
-    needed_stretch,
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array

@@ -20,12 +20,12 @@ from hitchopt.planners.optimise.splines import PathSplines
 from hitchopt.planners.path import LegLaw, Path
 from hitchopt.planners.timing.clock import Clock
 from hitchopt.planners.timing.profile import if_timed
+from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.timed_motion import (
     ClockedMotion,
     fastest_motion,
     in_duration,
     motion_by,
-    needed_stretch,
 )
 from hitchopt.trajectory.piecewise import summed
 from hitchopt.trajectory.splines import bspline, evenly_interpolated

@@ -17,7 +17,7 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.optimise.knots import KnotPath
 from hitchopt.planners.timing.profile import (
-    GRID,
+    ESTIMATE_GRID,
     demands_along,
     fastest_profile,
     if_timed,
@@ -98,7 +98,7 @@ def segment_times(path: KnotPath, limits: Limits) -> Array:
 def step_times(path: KnotPath, limits: Limits) -> Array:
     """Return the times (J,) [s] of all steps on the fastest flight; at speed limits without one."""
     longest: Array = np.max(segment_times(path, limits), axis=1)
-    grid = path_grid(GRID)
+    grid = path_grid(ESTIMATE_GRID)
     demands = demands_along(path.path, limits)
     profile = if_timed(partial(fastest_profile, grid, demands))
     if profile is None:
@@ -188,8 +188,8 @@ def acceleration_rows(path: KnotPath, limits: Limits, times: Array) -> TimedRows
 
 def _reachable_accelerations(path: KnotPath, limits: Limits) -> Array:
     """Return the accelerations (J + 1, 2n) [m/s²] that drones can reach in all directions."""
-    index = np.searchsorted(path_grid(GRID), np.linspace(0.0, 1.0, path.steps + 1))
-    loads = demands_along(path.path, limits).loads[np.minimum(index, GRID)]
+    index = np.searchsorted(path_grid(ESTIMATE_GRID), np.linspace(0.0, 1.0, path.steps + 1))
+    loads = demands_along(path.path, limits).loads[np.minimum(index, ESTIMATE_GRID)]
     return np.minimum(spare_accelerations(path.team, limits, loads), limits.acceleration)
 
 

@@ -501,7 +501,7 @@ def feasible_polygons(demands: Demands) -> FeasiblePolygons:
     return FeasiblePolygons(corners, acceleration, squared_speed)
 
 
-GRID = 80
+ESTIMATE_GRID = 80
 """Number of steps of the grid along the path, below which comparisons of paths are unreliable."""
 
 RAMP_SHARE = 0.5
@@ -510,7 +510,7 @@ from rest to full speed."""
 
 
 @lru_cache(maxsize=3)
-def demands_along(path: FlatPath, limits: Limits, steps: int = GRID) -> Demands:
+def demands_along(path: FlatPath, limits: Limits, steps: int = ESTIMATE_GRID) -> Demands:
     """Return the demands of a path on a grid, cached for the last paths."""
     return Demands.along(path, limits, path_grid(steps))
 
@@ -526,13 +526,13 @@ def flight_estimate(path: FlatPath, limits: Limits) -> float:
 
 def flight_estimates(paths: Sequence[FlatPath], limits: Limits) -> list[float]:
     """Return the ``flight_estimate`` of each of several paths of one team, evaluated together."""
-    flat = FlatJets.concatenated([path.flat(path_grid(GRID)) for path in paths])
+    flat = FlatJets.concatenated([path.flat(path_grid(ESTIMATE_GRID)) for path in paths])
     return _estimates(Demands.of(paths[0].team, flat, limits))
 
 
 def _estimates(demands: Demands) -> list[float]:
     """Return the estimates of paths whose demands on the grid follow each other."""
-    s = path_grid(GRID)
+    s = path_grid(ESTIMATE_GRID)
     polygons = feasible_polygons(demands)
     estimates = list[float]()
     for first in range(0, len(demands.loads), len(s)):

@@ -1,0 +1,212 @@
+"""Certified plans along routes of the optimiser, refined with their clocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from hitchopt.checks.violations import infeasible_error, named_checks
+from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.hitch import Hitch
+from hitchopt.hitch.casadi_model import CostFunction
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.along import past_obstacles, plan_along
+from hitchopt.planners.candidates import Candidate, Effort, first_feasible
+from hitchopt.planners.compensation import compensated
+from hitchopt.planners.task import StepPlan, StepTask, require_certified
+
+if TYPE_CHECKING:
+    from hitchopt.planners.optimise.cost import FlightCost
+    from hitchopt.planners.optimise.knots import KnotPath
+    from hitchopt.planners.path import Path
+
+DIRECT_INFEASIBLE = "the step's own route is infeasible"
+BEST_ROUTE = "the best route tried"
+FASTER = "faster than the step's own route"
+
+
+@dataclass(frozen=True, eq=False)
+class OptimisedRoute:
+    """A route that the optimiser finds to a hitch, at the same altitude or not."""
+
+    task: StepTask
+    """The task of the step."""
+
+    end: Hitch
+    """The hitch after it."""
+
+    phase: Phase
+    """With the step's name, index and range of tensions."""
+
+    duration: float | None = None
+    """Prescribed duration [s]; None for the fastest one."""
+
+    straight: Path | None = None
+    """The step's own path, which is a candidate if it is feasible; None if it is not."""
+
+    own: StepPlan | None = None
+    """Certified plan along this path, if there is one."""
+
+    allow_slides: bool = False
+    """Whether legs that lead and lag are also tried."""
+
+    cost: CostFunction | None = None
+    """Minimised together with the duration."""
+
+    _certified: dict[Motion, StepPlan] = field(default_factory=dict, init=False)
+    """Certified plans by their motions."""
+
+    def plan(self) -> StepPlan:
+        """Return the fastest plan.
+
+        Raises InfeasibleError if the plan takes longer than the prescribed duration.
+        """
+        from hitchopt.planners.optimise.cost import FlightCost
+        from hitchopt.planners.optimise.search import OptimisedMorph
+
+        task = self.task
+        cost = None if self.cost is None else FlightCost(task.hitch.team, self.cost)
+        routes = OptimisedMorph(
+            task.hitch,
+            self.end,
+            task.requirements,
+            self._certified_motion,
+            self.phase.tension,
+            self.straight,
+            cost,
+            task.effort,
+        ).solve()
+        if routes.rejected is not None:
+            return self._plan_along_best(routes.rejected)
+        if not routes.accepted:
+            raise HitchoptError("no route was found")
+        fastest = routes.accepted[0]
+        plan = self._in_duration(self._certified[fastest.motion])
+        remark = ""
+        if plan.path is not self.straight:
+            is_feasible = any(not route.name for route in routes.accepted)
+            remark = self._remark(fastest.name, is_feasible=is_feasible)
+        if (self.allow_slides or cost is not None) and self.duration is None:
+            plan, gain = refined_plan(task, plan, self.phase, cost)
+            remark = "; ".join(filter(None, [remark, gain]))
+        return plan.with_remark(remark) if remark else plan
+
+    def _certified_motion(self, path: Path) -> Motion | None:
+        """Return a certified motion along a path, if possible with legs that lead and lag."""
+        from hitchopt.planners.morph.legs import legs_clear, with_slides
+
+        requirements = self.task.requirements
+        climbing = self._climbing(path)
+        candidates = list[Candidate[Motion]]()
+        if self.allow_slides:
+            candidates += [
+                Candidate("route with slides", partial(self._certified_along, variant))
+                for variant in with_slides(climbing, requirements.limits)
+                if legs_clear(variant, requirements)
+            ]
+        candidates.append(Candidate("route", partial(self._certified_along, climbing)))
+        return first_feasible(candidates, None)
+
+    def _climbing(self, path: Path) -> Path:
+        """Return a path of the search, which is horizontal, with the climb to the end."""
+        climb = self.end.altitude - self.task.hitch.altitude
+        return path if path is self.straight or climb == 0.0 else path.climbing(climb)
+
+    def _certified_along(self, path: Path) -> Motion:
+        """Return the certified motion along a path."""
+        along = partial(plan_along, self.task, end=self.end, phase=self.phase)
+        if self.own is not None and path is self.own.path:
+            plan = self.own
+        else:
+            plan = past_obstacles(self.task, along(path), path, along)
+        self._certified[plan.motion] = plan
+        return plan.motion
+
+    def _in_duration(self, plan: StepPlan) -> StepPlan:
+        """Return the certified plan in the prescribed duration, if there is one."""
+        from hitchopt.planners.timing.timed_motion import check_duration, in_duration
+
+        if self.duration is None:
+            return plan
+        check_duration(self.duration, plan.motion.duration)
+        slower = in_duration(plan.motion, self.duration)
+        phases = (self.phase.retimed(0.0, self.duration),)
+        return require_certified(replace(plan, motion=slower.replaced(phases=phases)))
+
+    def _remark(self, guess: str, *, is_feasible: bool) -> str:
+        """Describe a route from a guess; ``is_feasible`` says whether straight lines are."""
+        route = f"on an optimised route, first guess {guess}" if guess else "legs lead and lag"
+        if self.cost is not None:
+            return route
+        return f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}"
+
+    def _plan_along_best(self, best: KnotPath) -> StepPlan:
+        """Return the plan along the best route that was tried.
+
+        Raises InfeasibleError with the limits that it breaks, and where along the route.
+        """
+        from hitchopt.planners.morph.morph import load_violation, shape_violation
+
+        path = self._climbing(best.path)
+        route = f"along {BEST_ROUTE} ({best.name})"
+        violation = shape_violation(path) or load_violation(path, self.task.requirements.limits)
+        if violation is not None:
+            when = violation.when.replace("of the path", route)
+            raise InfeasibleError([replace(violation, when=when)])
+        plan = plan_along(self.task, path, self.end, self.phase)
+        if plan.certificate.certified:
+            return plan
+        motion = plan.motion
+        step = f"in step {self.phase.step} ({self.phase.name})"
+        unplaced = infeasible_error(plan.certificate, motion).violations
+        named = named_checks(plan.certificate, Flight.of(motion))
+        placed = [
+            replace(violation, when=f"at {check.time / motion.duration:.0%} {route}, {step}")
+            for violation, check in zip(unplaced, named, strict=True)
+        ]
+        raise InfeasibleError(placed)
+
+
+def refined_plan(
+    task: StepTask, plan: StepPlan, phase: Phase, cost: FlightCost | None = None
+) -> tuple[StepPlan, str]:
+    """Return the plan with its route and clock refined together, and what it gained.
+
+    It is the plan itself if none is shorter, with a cost none better.
+    With friction at the clasps, plans are compared with legs that lean against it.
+    """
+    from hitchopt.planners.optimise.refinement import MAX_EFFORT, flight_cost, refined
+
+    path = plan.path
+    if path is None:
+        return plan, ""
+    has_friction = cost is None and task.hitch.team.friction > 0.0
+    leaning = compensated(plan, timed=False) if has_friction else None
+
+    def certified(route: Path, motion: Motion) -> StepPlan | None:
+        """Return the certified plan of a shorter motion along another path."""
+        phases = (phase.retimed(0.0, motion.duration),)
+        shorter = replace(plan, motion=motion.replaced(phases=phases), path=route)
+        if not shorter.certificate.certified:
+            return None
+        if leaning is not None:
+            also_leaning = compensated(shorter, timed=False)
+            is_longer = also_leaning.plan.motion.duration >= leaning.plan.motion.duration
+            if is_longer or also_leaning.share < leaning.share:
+                return None
+        return shorter
+
+    effort = Effort(MAX_EFFORT, whole=task.effort)
+    better = refined(path, plan.motion, phase.tension, certified, effort, cost=cost)
+    if better is None:
+        if cost is None:
+            return plan, ""
+        return plan, f"its cost is {flight_cost(path, plan.motion, cost):.4g} s"
+    before = plan.motion.duration
+    after = better.certified.motion.duration
+    gain = f"refined with its clock: {before:.2f} s → {after:.2f} s"
+    if cost is not None:
+        gain += f"; its cost is {better.cost:.4g} s"
+    return better.certified, gain
