@@ -177,7 +177,7 @@ def refined_plan(
     It is the plan itself if none is shorter, with a cost none better.
     With friction at the clasps, plans are compared with legs that lean against it.
     """
-    from hitchopt.planners.optimise.refinement import MAX_EFFORT, flight_cost, refined
+    from hitchopt.planners.optimise.refinement import TUNING, flight_cost, refined
 
     path = plan.path
     if path is None:
@@ -198,7 +198,7 @@ def refined_plan(
                 return None
         return shorter
 
-    effort = Effort(MAX_EFFORT, whole=task.effort)
+    effort = Effort(TUNING.max_effort, whole=task.effort)
     better = refined(path, plan.motion, phase.tension, certified, effort, cost=cost)
     if better is None:
         if cost is None:

@@ -16,6 +16,7 @@ certifies is returned, so that nothing is lost.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 from hitchopt.errors import check_time
@@ -29,26 +30,47 @@ from hitchopt.planners.timing.timed_motion import within_limits
 
 T = TypeVar("T")
 
-MAX_STEPS = 16
-"""Maximum number of programs that are linearised anew."""
 
-MAX_STALLED = 3
-"""Number of consecutive steps that gain less than ``MIN_GAIN`` after which refinement ends."""
+@dataclass(frozen=True)
+class RefinementTuning:
+    """Numbers of the refinement; ``python -m benchmarks morphs`` shows their effect."""
 
-MIN_GAIN = 1e-3
-"""Gain over the duration, expected or reached, that is too small to go on."""
+    max_steps: int = 16
+    """Maximum number of programs that are linearised anew."""
 
-MIN_SHORTER = 1e-4
-"""Gain over the duration below which a flight is not replaced."""
+    max_stalled: int = 3
+    """Number of consecutive steps without ``min_gain`` after which refinement ends."""
 
-STRIDE = 0.03
-"""[m] First trust radius of the splines' coefficients."""
+    min_gain: float = 1e-3
+    """Gain over the duration, expected or reached, that is too small to go on."""
 
-MIN_STRIDE = 0.004
-"""[m] Trust radius below which refinement ends."""
+    min_shorter: float = 1e-4
+    """Gain over the duration below which a flight is not replaced."""
 
-MAX_STRIDE = 0.12
-"""[m] Largest trust radius."""
+    stride: float = 0.03
+    """[m] First trust radius of the splines' coefficients."""
+
+    min_stride: float = 0.004
+    """[m] Trust radius below which refinement ends."""
+
+    max_stride: float = 0.12
+    """[m] Largest trust radius."""
+
+    rejected_factor: float = 0.35
+    """Factor of the trust radius after a step that is not accepted."""
+
+    max_shortfall: float = 5e-4
+    """[m] Largest shortfall at samples of a flight that the judge sees."""
+
+    flight_cost: float = 40.0
+    """Effort per robot of timing a route, and of one judgement, in the unit of ``Effort``."""
+
+    max_effort: float = 1.2e4
+    """Limit of the effort: about 3 s."""
+
+
+TUNING = RefinementTuning()
+
 
 ACCEPTED = 0.05
 """Gain over the expected one above which a step is accepted."""
@@ -56,17 +78,6 @@ ACCEPTED = 0.05
 STRIDE_FACTORS = ((0.7, 1.6), (0.3, 1.0), (ACCEPTED, 0.5))
 """Gains over expected ones, and factors of the trust radius above them."""
 
-REJECTED_FACTOR = 0.35
-"""Factor of the trust radius after a step that is not accepted."""
-
-MAX_SHORTFALL = 5e-4
-"""[m] Largest shortfall at samples of a flight that the judge sees."""
-
-FLIGHT_COST = 40.0
-"""Effort per robot of timing a route, and of one judgement, in the unit of ``Effort``."""
-
-MAX_EFFORT = 1.2e4
-"""Limit of the effort: about 3 s."""
 
 Certify = Callable[[Path, Motion], T | None]
 """Function that returns what is certified of a motion along a path, or None."""
@@ -108,15 +119,15 @@ def refined(
     flown = [
         Flown.of(flight)
         for flight in (first, *_better_flights(first, effort))
-        if flight.shortfall < MAX_SHORTFALL
+        if flight.shortfall < TUNING.max_shortfall
     ]
     # The first flight is as long as the motion up to rounding
     unrefined = motion.duration + first.cost(motion.duration / first.duration)
-    largest = unrefined - MIN_SHORTER * motion.duration
+    largest = unrefined - TUNING.min_shorter * motion.duration
     better = [each for each in flown if each.objective < largest]
     better.sort(key=lambda each: each.objective)
     for index in _judged(len(better)):
-        effort.spend(FLIGHT_COST * path.team.robots)
+        effort.spend(TUNING.flight_cost * path.team.robots)
         certified = certify(better[index].path, better[index].motion)
         if certified is not None:
             return Refined(certified, better[index].cost)
@@ -160,28 +171,30 @@ def _judged(count: int) -> list[int]:
 
 def _better_flights(flight: Flight, effort: Effort) -> Iterator[Flight]:
     """Yield the flights after each step that lowers the objective, or restores distances."""
-    stride = STRIDE
+    stride = TUNING.stride
     stalled = 0
-    for _ in range(MAX_STEPS):
+    for _ in range(TUNING.max_steps):
         check_time()
         step = best_step(flight, stride, effort)
         if step is None:
             return
         expected = step.gain + PENALTY * flight.shortfall
-        effort.spend(FLIGHT_COST * flight.path.team.robots)
+        effort.spend(TUNING.flight_cost * flight.path.team.robots)
         moved = flight.after(step)
         gain = 0.0 if moved is None else flight.merit - moved.merit
         ratio = gain / max(expected, REGULARISATION)
-        least = MIN_GAIN * flight.duration
+        least = TUNING.min_gain * flight.duration
         stalled = stalled + 1 if gain < least else 0
         if moved is not None and ratio > ACCEPTED:
             flight = moved
             yield flight
-        stride = min(stride * _stride_factor(ratio), MAX_STRIDE)
-        if stride < MIN_STRIDE or stalled == MAX_STALLED or expected < least:
+        stride = min(stride * _stride_factor(ratio), TUNING.max_stride)
+        if stride < TUNING.min_stride or stalled == TUNING.max_stalled or expected < least:
             return
 
 
 def _stride_factor(ratio: float) -> float:
     """Return the factor of the trust radius for the ratio of a gain to the expected one."""
-    return next((factor for least, factor in STRIDE_FACTORS if ratio > least), REJECTED_FACTOR)
+    return next(
+        (factor for least, factor in STRIDE_FACTORS if ratio > least), TUNING.rejected_factor
+    )

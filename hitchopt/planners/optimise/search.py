@@ -61,102 +61,112 @@ REFINEMENTS = (
 )
 """Rounds of refinement until the judge accepts a path."""
 
-REFINED_PARTS = 8
-"""Number of parts of every step, at whose ends refinement enforces distances."""
+
+@dataclass(frozen=True)
+class SearchTuning:
+    """Numbers of the search; ``python -m benchmarks morphs`` shows their effect."""
+
+    refined_parts: int = 8
+    """Number of parts of every step, at whose ends refinement enforces distances."""
+
+    refined_stride: float = 0.12
+    """[m] Stride of the optimiser in refinement."""
+
+    min_stride: float = 0.02
+    """[m] Stride below which a feasible path is not shortened further."""
+
+    max_initial_steps: int = 12
+    """Maximum number of steps from a guess."""
+
+    max_refined_steps: int = 5
+    """Maximum number of steps to a feasible path in a round of refinement."""
+
+    hopeful_margin: float = 0.8
+    """Margin of distances below which refinement goes on only while every step gains enough. Of 13
+    pairs all refinements that succeeded had more after the second step, or gained 0.2 a step."""
+
+    min_margin_gain: float = 0.03
+    """Smallest gain of margin in a step with which such a refinement goes on."""
+
+    max_fastest_steps: int = 12
+    """Maximum number of steps from a feasible path to faster ones."""
+
+    max_cost_steps: int = 36
+    """Maximum number of steps from a feasible path to better ones by a custom cost."""
+
+    max_judged: int = 4
+    """Maximum number of faster paths that are judged. They are feasible at samples, but distances
+    between samples may fall short by a thousandth."""
+
+    leg_perturbation: float = 0.05
+    """Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
+    robots of regular polygons move alike up to saddle points, since all rows are linear."""
+
+    min_refined_progress: float = 0.05
+    """Smallest motion of vertices in a step over its stride, below which refinement ends."""
+
+    knot_distance: float = 0.9
+    """[m] Largest length of a vertex's path between two knots, within the bounds of their number.
+    """
+
+    min_steps: int = 8
+    """Minimum number of steps between the knots of a guess."""
+
+    max_steps: int = 16
+    """Maximum number of steps between the knots of a guess."""
+
+    max_guess_ratio: float = 1.3
+    """Largest estimated duration of a guess that is optimised, over that of the fastest motion so
+    far."""
+
+    max_estimate_ratio: float = 1.1
+    """Largest estimated duration of an optimised path that is refined, over that of the fastest
+    motion so far."""
+
+    min_gain: float = 0.01
+    """Smallest gain over the fastest path so far, as a fraction of its duration, for which guesses
+    are tried."""
+
+    max_effort: float = 240.0
+    """Limit of the effort if the straight path is infeasible, per robot and inner knot of the
+    largest guess. Successful searches of 3 to 12 robots took up to 170."""
+
+    min_effort: float = 2e4
+    """Smallest limit of the effort if the straight path is feasible: about 2 s."""
+
+    effort_per_robot: float = 300.0
+    """Limit of the effort per robot if the straight path is feasible, if that is more: about ten
+    times that of planning this path."""
+
+    min_step_gain: float = 5e-4
+    """Smallest gain of a step toward a faster path, as a share of its duration, below which no
+    further one is tried."""
+
+    min_guess_margin: float = 0.3
+    """Smallest margin of distances of a promising guess."""
+
+    max_rolled: int = 8
+    """Maximum number of guesses with roll that are tried."""
+
+    max_rolled_effort: float = 2.0
+    """Maximum effort of these guesses together, over that of one, beyond which no further one is
+    tried."""
+
+    legs_effort_per_robot: float = 200.0
+    """Effort per robot to find leg lengths along a guess and to judge it, which counts for the
+    plan."""
+
+    end_margin_factor: float = 1.0 - 1e-4
+    """Factor on the margins of the ends, which they then satisfy despite rounding."""
+
+    path_tolerance: float = 0.05
+    """[m] Difference at every knot below which paths are equal."""
+
+
+TUNING = SearchTuning()
 
 INITIAL_STEP = SolverStep(stride=0.17)
 """Step of the optimiser from a guess."""
-
-REFINED_STRIDE = 0.12
-"""[m] Stride of the optimiser in refinement."""
-
-MIN_STRIDE = 0.02
-"""[m] Stride below which a feasible path is not shortened further."""
-
-MAX_INITIAL_STEPS = 12
-"""Maximum number of steps from a guess."""
-
-MAX_REFINED_STEPS = 5
-"""Maximum number of steps to a feasible path in a round of refinement."""
-
-HOPEFUL_MARGIN = 0.8
-"""Margin of distances below which refinement goes on only while every step gains enough.
-Of 13 pairs all refinements that succeeded had more after the second step, or gained 0.2 a step."""
-
-MIN_MARGIN_GAIN = 0.03
-"""Smallest gain of margin in a step with which such a refinement goes on."""
-
-MAX_FASTEST_STEPS = 12
-"""Maximum number of steps from a feasible path to faster ones."""
-
-MAX_COST_STEPS = 36
-"""Maximum number of steps from a feasible path to better ones by a custom cost."""
-
-MAX_JUDGED = 4
-"""Maximum number of faster paths that are judged. They are feasible at samples, but distances
-between samples may fall short by a thousandth."""
-
-LEG_PERTURBATION = 0.05
-"""Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
-robots of regular polygons move alike up to saddle points, since all rows are linear."""
-
-MIN_REFINED_PROGRESS = 0.05
-"""Smallest motion of vertices in a step over its stride, below which refinement ends."""
-
-KNOT_DISTANCE = 0.9
-"""[m] Largest length of a vertex's path between two knots, within the bounds of their number."""
-
-MIN_STEPS = 8
-"""Minimum number of steps between the knots of a guess."""
-
-MAX_STEPS = 16
-"""Maximum number of steps between the knots of a guess."""
-
-MAX_GUESS_RATIO = 1.3
-"""Largest estimated duration of a guess that is optimised, over that of the fastest motion so
-far."""
-
-MAX_ESTIMATE_RATIO = 1.1
-"""Largest estimated duration of an optimised path that is refined, over that of the fastest motion
-so far."""
-
-MIN_GAIN = 0.01
-"""Smallest gain over the fastest path so far, as a fraction of its duration, for which guesses are
-tried."""
-
-MAX_EFFORT = 240.0
-"""Limit of the effort if the straight path is infeasible, per robot and inner knot of the largest
-guess. Successful searches of 3 to 12 robots took up to 170."""
-
-MIN_EFFORT = 2e4
-"""Smallest limit of the effort if the straight path is feasible: about 2 s."""
-
-EFFORT_PER_ROBOT = 300.0
-"""Limit of the effort per robot if the straight path is feasible, if that is more: about ten times
-that of planning this path."""
-
-MIN_STEP_GAIN = 5e-4
-"""Smallest gain of a step toward a faster path, as a share of its duration, below which no further
-one is tried."""
-
-MIN_GUESS_MARGIN = 0.3
-"""Smallest margin of distances of a promising guess."""
-
-MAX_ROLLED = 8
-"""Maximum number of guesses with roll that are tried."""
-
-MAX_ROLLED_EFFORT = 2.0
-"""Maximum effort of these guesses together, over that of one, beyond which no further one is
-tried."""
-
-LEGS_EFFORT_PER_ROBOT = 200.0
-"""Effort per robot to find leg lengths along a guess and to judge it, which counts for the plan."""
-
-END_MARGIN_FACTOR = 1.0 - 1e-4
-"""Factor on the margins of the ends, which they then satisfy despite rounding."""
-
-PATH_TOLERANCE = 0.05
-"""[m] Difference at every knot below which paths are equal."""
 
 
 def min_duration(start: Hitch, end: Hitch, limits: Limits) -> float:
@@ -240,7 +250,7 @@ class OptimisedMorph:
 
         Guesses are optimised in the order of their estimated durations; on ties, turning edges
         precede turning polygons. Optimised paths that equal earlier ones are skipped, and the
-        search ends if no path can be faster by MIN_GAIN.
+        search ends if no path can be faster by ``min_gain``.
         """
         routes = list[Route]()
         straight_motion = None if self.straight is None else self.judge(self.straight)
@@ -263,7 +273,7 @@ class OptimisedMorph:
     def _optimised(self, straight_motion: Motion | None, rejected: list[KnotPath]) -> list[Route]:
         """Return the motions along optimised guesses that may be faster than the straight one."""
         fastest = math.inf if straight_motion is None else straight_motion.duration
-        if self.cost is None and self.min_duration > (1.0 - MIN_GAIN) * fastest:
+        if self.cost is None and self.min_duration > (1.0 - TUNING.min_gain) * fastest:
             return []
         # Tensions may vary on the straight path too, and a cost may bend it.
         can_improve_straight = self.tension is not None or self.cost is not None
@@ -279,7 +289,7 @@ class OptimisedMorph:
             smooth_paths = [path.path for path in paths]
             estimates = np.array(flight_estimates(smooth_paths, self.requirements.limits))
         order = np.argsort(estimates, kind="stable")
-        guesses = [paths[index].with_perturbed_legs(LEG_PERTURBATION) for index in order]
+        guesses = [paths[index].with_perturbed_legs(TUNING.leg_perturbation) for index in order]
         max_effort = self._max_effort(paths, has_motion=straight_motion is not None)
         search = self._search_limits(max_effort, rejected)
         return self._routes_near(guesses, estimates[order], search, fastest)
@@ -307,7 +317,8 @@ class OptimisedMorph:
 
         Guesses differ from each other, and without ``with_straight`` from the straight path.
         """
-        polygons_by_name = polygon_guesses(self.start.polygon, self.end.polygon, MIN_STEPS + 1)
+        knots = TUNING.min_steps + 1
+        polygons_by_name = polygon_guesses(self.start.polygon, self.end.polygon, knots)
         excluded = [] if with_straight else [polygons_by_name[STRAIGHT]]
         guesses: list[KnotPath] = []
         for name, polygons in reversed(polygons_by_name.items()):
@@ -326,16 +337,16 @@ class OptimisedMorph:
         """
         most_robot_knots = max(path.robot_knots for path in paths)
         if self.cost is not None:
-            return MAX_EFFORT * most_robot_knots * len(paths)  # all of them are optimised
+            return TUNING.max_effort * most_robot_knots * len(paths)  # all of them are optimised
         if not has_motion:
-            return MAX_EFFORT * most_robot_knots
-        return max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots)
+            return TUNING.max_effort * most_robot_knots
+        return max(TUNING.min_effort, TUNING.effort_per_robot * self.start.team.robots)
 
     def _search_limits(self, max_effort: float, rejected: list[KnotPath]) -> SearchLimits:
         """Return the constraints of a search with a limit of its effort."""
         end_polygons = np.stack([self.start.polygon.vertices, self.end.polygon.vertices])
         ends = KnotPath.through("", self.start, self.end, end_polygons)
-        margins = END_MARGIN_FACTOR * distance_margins([ends], self.requirements)[0]
+        margins = TUNING.end_margin_factor * distance_margins([ends], self.requirements)[0]
         first_margin, last_margin = margins.tolist()
         return SearchLimits(
             self.requirements,
@@ -359,7 +370,7 @@ class OptimisedMorph:
         last_estimate = math.inf  # of the last optimised path with a motion [s]
         only_time = self.cost is None
         for guess, guess_estimate in zip(guesses, estimates, strict=True):
-            if only_time and guess_estimate > MAX_GUESS_RATIO * fastest:
+            if only_time and guess_estimate > TUNING.max_guess_ratio * fastest:
                 break
             path = _optimised_path(guess, search, visited)
             visited.append(guess)
@@ -367,7 +378,9 @@ class OptimisedMorph:
                 continue
             visited.append(path)
             estimate = _estimate(path, self.requirements)
-            max_estimate = min(MAX_ESTIMATE_RATIO * fastest, (1.0 - MIN_GAIN) * last_estimate)
+            max_estimate = min(
+                TUNING.max_estimate_ratio * fastest, (1.0 - TUNING.min_gain) * last_estimate
+            )
             if only_time and estimate > max_estimate:
                 continue
             route = _refined(path, search)
@@ -376,22 +389,22 @@ class OptimisedMorph:
             routes.append(route)
             last_estimate = estimate
             fastest = min(fastest, route.motion.duration)
-            if only_time and self.min_duration > (1.0 - MIN_GAIN) * fastest:
+            if only_time and self.min_duration > (1.0 - TUNING.min_gain) * fastest:
                 break
         return routes
 
     def _rolled(self, rejected: list[KnotPath]) -> list[Route]:
         """Return the motion along the first feasible guess with roll, optimised or as it is."""
-        guesses = rolled_guesses(self.start, self.end, self.requirements)[:MAX_ROLLED]
+        guesses = rolled_guesses(self.start, self.end, self.requirements)[: TUNING.max_rolled]
         unoptimised: list[Route] = []
         spent = 0.0
         for guess in guesses:
-            max_effort = MAX_EFFORT * guess.robot_knots
-            if spent > MAX_ROLLED_EFFORT * max_effort:
+            max_effort = TUNING.max_effort * guess.robot_knots
+            if spent > TUNING.max_rolled_effort * max_effort:
                 break
             search = self._search_limits(max_effort, rejected)
             if self.start.team.layout.closed:
-                perturbed = guess.with_perturbed_legs(LEG_PERTURBATION)
+                perturbed = guess.with_perturbed_legs(TUNING.leg_perturbation)
                 path = _optimised_path(perturbed, search, visited=[])
                 route = None if path is None else _refined(path, search)
                 if route is not None:
@@ -407,7 +420,7 @@ class OptimisedMorph:
 
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
         """Return the motion along a guess with leg lengths that keep distances, or None."""
-        self.effort.spend(LEGS_EFFORT_PER_ROBOT * guess.team.robots)
+        self.effort.spend(TUNING.legs_effort_per_robot * guess.team.robots)
         path = if_balanced(partial(self._clear_path, guess.path), None)
         return None if path is None else self.judge(path)
 
@@ -423,13 +436,13 @@ class OptimisedMorph:
 
 def _is_promising(margins: Array) -> bool:
     """Return whether a guess with margins (J + 1,) of distances is optimised before others."""
-    return bool(np.min(margins) >= MIN_GUESS_MARGIN)
+    return bool(np.min(margins) >= TUNING.min_guess_margin)
 
 
 def _steps(path: KnotPath) -> int:
     """Return the number of steps between knots for the longest vertex path."""
     longest = float(np.max(np.sum(length(np.diff(path.polygons, axis=0)), axis=0)))
-    return int(np.clip(np.ceil(longest / KNOT_DISTANCE), MIN_STEPS, MAX_STEPS))
+    return int(np.clip(np.ceil(longest / TUNING.knot_distance), TUNING.min_steps, TUNING.max_steps))
 
 
 def _estimate(path: KnotPath, requirements: Requirements) -> float:
@@ -444,15 +457,15 @@ def _objective(path: KnotPath, search: SearchLimits) -> float:
 
 
 def _equal(path: KnotPath, other: KnotPath) -> bool:
-    """Return whether two paths are equal up to PATH_TOLERANCE."""
+    """Return whether two paths are equal up to ``path_tolerance``."""
     if path.steps != other.steps:
         other = other.resampled(path.steps)
     return _coincide(path.polygons, other.polygons) and _coincide(path.q_legs, other.q_legs)
 
 
 def _coincide(values: Array, others: Array) -> bool:
-    """Return whether two arrays of coordinates or lengths [m] are equal up to PATH_TOLERANCE."""
-    return bool(np.max(np.abs(values - others)) < PATH_TOLERANCE)
+    """Return whether coordinates or lengths [m] are equal up to ``path_tolerance``."""
+    return bool(np.max(np.abs(values - others)) < TUNING.path_tolerance)
 
 
 def _optimised_path(
@@ -460,7 +473,7 @@ def _optimised_path(
 ) -> KnotPath | None:
     """Return the path of minimum energy near a guess; None if it reaches a visited path."""
     path: KnotPath | None = None
-    for iterate in iterates(guess, search, INITIAL_STEP, MAX_INITIAL_STEPS):
+    for iterate in iterates(guess, search, INITIAL_STEP, TUNING.max_initial_steps):
         if any(_equal(iterate, other) for other in visited):
             return None
         path = iterate
@@ -483,11 +496,11 @@ def _refined(path: KnotPath, search: SearchLimits) -> Route | None:
         if (adds_knots and search.cost is None) or not _is_feasible(path, search):
             path, feasible = _feasible_near(path, tight)
             if not feasible:
-                if _worst_margin(path, search.requirements) < HOPEFUL_MARGIN:
+                if _worst_margin(path, search.requirements) < TUNING.hopeful_margin:
                     break
                 continue
         better_paths = _better_paths(path, tight)
-        accepted = _last_accepted([path, *better_paths[-MAX_JUDGED:]], search)
+        accepted = _last_accepted([path, *better_paths[-TUNING.max_judged :]], search)
         if accepted is None:
             continue
         accepted_path, route = accepted
@@ -503,15 +516,17 @@ def _refined(path: KnotPath, search: SearchLimits) -> Route | None:
 
 def _feasible_near(path: KnotPath, search: SearchLimits) -> tuple[KnotPath, bool]:
     """Return the first feasible path on the way to minimum energy, or the last one and False."""
-    step = SolverStep(REFINED_STRIDE, REFINED_PARTS)
+    step = SolverStep(TUNING.refined_stride, TUNING.refined_parts)
     last_path = path
     last_margin = -math.inf
-    for iterate in iterates(path, search, step, MAX_REFINED_STEPS, MIN_REFINED_PROGRESS):
+    for iterate in iterates(
+        path, search, step, TUNING.max_refined_steps, TUNING.min_refined_progress
+    ):
         if _is_feasible(iterate, search):
             return iterate, True
         last_path = iterate
         margin = _worst_margin(iterate, search.requirements)
-        if margin < min(HOPEFUL_MARGIN, last_margin + MIN_MARGIN_GAIN):
+        if margin < min(TUNING.hopeful_margin, last_margin + TUNING.min_margin_gain):
             break
         last_margin = margin
     return last_path, False
@@ -524,16 +539,16 @@ def _better_paths(path: KnotPath, search: SearchLimits) -> list[KnotPath]:
     Steps go on from infeasible paths too, whose distances the next step restores. When they gain no
     more, they start again from the best feasible path with half the stride.
     """
-    max_programs = MAX_FASTEST_STEPS if search.cost is None else MAX_COST_STEPS
-    step = SolverStep(REFINED_STRIDE, REFINED_PARTS, fastest=True)
+    max_programs = TUNING.max_fastest_steps if search.cost is None else TUNING.max_cost_steps
+    step = SolverStep(TUNING.refined_stride, TUNING.refined_parts, fastest=True)
     best = path
     best_objective = _objective(path, search)
     better = list[KnotPath]()
     programs = 0
-    while step.stride >= MIN_STRIDE:
+    while step.stride >= TUNING.min_stride:
         better_but_infeasible = False
         last_objective = math.inf
-        for iterate in iterates(best, search, step, max_programs, MIN_REFINED_PROGRESS):
+        for iterate in iterates(best, search, step, max_programs, TUNING.min_refined_progress):
             programs += 1
             objective = _objective(iterate, search)
             if objective < best_objective:
@@ -543,7 +558,7 @@ def _better_paths(path: KnotPath, search: SearchLimits) -> list[KnotPath]:
                     best = iterate
                     best_objective = objective
                     better.append(iterate)
-            min_gain = MIN_STEP_GAIN * abs(last_objective)
+            min_gain = TUNING.min_step_gain * abs(last_objective)
             if objective > last_objective - min_gain or programs >= max_programs:
                 break
             last_objective = objective
@@ -572,7 +587,7 @@ def _most_feasible(paths: list[KnotPath], requirements: Requirements) -> KnotPat
 
 def _worst_margin(path: KnotPath, requirements: Requirements) -> float:
     """Return the smallest margin of distances at the knots and between them."""
-    refined = path.resampled(REFINED_PARTS * path.steps)
+    refined = path.resampled(TUNING.refined_parts * path.steps)
     return float(np.min(distance_margins([refined], requirements)))
 
 
