@@ -357,7 +357,8 @@ def sagging(q: np.ndarray, r: np.ndarray, depth: float) -> np.ndarray:
     return np.stack([points[..., :-1, :], points[..., 1:, :]], axis=-2)
 
 
-@pytest.mark.parametrize("n", [3, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, 6])
 def test_errors_of_the_certified_radius_keep_every_distance(n: int, tmp_path: Path) -> None:
     """Drones, and vertices as pairs roll, err in random directions, by the radius and less.
 

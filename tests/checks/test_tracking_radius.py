@@ -146,7 +146,9 @@ LAW_MOTIONS: dict[str, Callable[[], Motion]] = {
 }
 
 
-@pytest.mark.parametrize("name", LAW_MOTIONS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(x, marks=pytest.mark.slow if x == "formed" else ()) for x in LAW_MOTIONS]
+)
 def test_tubes_of_equal_axes_are_numbers_and_higher_ones_never_help(name: str) -> None:
     motion = LAW_MOTIONS[name]()
     number, *balls = (
@@ -307,7 +309,7 @@ PLACES = [
 @pytest.mark.parametrize(
     ("at", "section", "ratio"),
     [
-        pytest.param(*place, marks=pytest.mark.slow if k % 5 else ())
+        pytest.param(*place, marks=() if k in {0, 15} else pytest.mark.slow)
         for k, place in enumerate(PLACES)
     ],
 )

@@ -592,11 +592,15 @@ def test_polynomials_begin_after_one_line_of_whatever(
     assert report(path).facts[0].pieces == 2  # the first is skipped
 
 
-@pytest.mark.parametrize("columns", [("x", "y", "z"), ("x", "y", "z", "vx", "vy", "vz")])
 @pytest.mark.parametrize(
-    ("factor", "start"),
-    [(1e9, 0), (1e9, 1.7e18), (1e6, 0), (1e3, 1.7e12), (1e3, 0)]
-    + [(1 / 60, 0), (1 / 400, 0), (1 / 3600, 0)],
+    ("columns", "factor", "start"),
+    [
+        *(
+            (("x", "y", "z"), *times)
+            for times in ((1e9, 1.7e18), (1e6, 0), (1e3, 0), (1 / 60, 0), (1 / 3600, 0))
+        ),
+        *((("x", "y", "z", "vx", "vy", "vz"), *times) for times in ((1e3, 1.7e12), (1 / 400, 0))),
+    ],
 )
 def test_times_that_are_no_seconds(
     factor: float, start: float, columns: tuple[str, ...], tmp_path: Path

@@ -181,7 +181,9 @@ MORPH = {
         (FORM, "hitchopt.planners.tying.rest_plan"),
         (FORM, "hitchopt.planners.forming.approach.straight_stages"),
         (MORPH, "hitchopt.planners.morph.morph.straight_path"),
-        (MORPH, "hitchopt.planners.timing.timed_motion.motion_along"),
+        pytest.param(
+            MORPH, "hitchopt.planners.timing.timed_motion.motion_along", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_records_that_planners_build_from_bad_values_leave_the_file_valid(

@@ -31,6 +31,7 @@ def objective(path: ho.Path, cost: CostFunction) -> float:
     return duration + FlightCost(TEAM, cost).at_rest(path, duration)
 
 
+@pytest.mark.slow
 def test_a_cost_bends_the_route_the_more_it_weighs() -> None:
     plain = ho.route(START, MOVED)
     distances, durations = [0.09], [ho.time(plain).duration]

@@ -100,7 +100,9 @@ def test_a_refusal_names_limit_and_place_of_the_best_route_tried() -> None:
     assert "the step's own route: convexity" in caught.value.note
 
 
-@pytest.mark.parametrize(("robots", "seed", "longest"), [(6, 4, 7.9), (8, 7, 4.9)])
+@pytest.mark.parametrize(
+    ("robots", "seed", "longest"), [(6, 4, 7.9), pytest.param(8, 7, 4.9, marks=pytest.mark.slow)]
+)
 def test_a_faster_path_that_the_certificate_rejects_leaves_the_one_before(
     robots: int, seed: int, longest: float
 ) -> None:
@@ -194,7 +196,15 @@ def test_wild_pairs_are_planned_however_they_are_placed_and_numbered(change: str
     assert planned(CHANGES[change](pair_of(wild_morph(robots, seed)))).certificate.certified
 
 
-@pytest.mark.parametrize(("robots", "angle"), [(3, 0.4), (4, 1.3), (5, 3.7), (6, 5.5)])
+@pytest.mark.parametrize(
+    ("robots", "angle"),
+    [
+        (3, 0.4),
+        (4, 1.3),
+        pytest.param(5, 3.7, marks=pytest.mark.slow),
+        pytest.param(6, 5.5, marks=pytest.mark.slow),
+    ],
+)
 def test_wild_pairs_are_planned_at_any_heading(robots: int, angle: float) -> None:
     pair = pair_of(wild_morph(robots, 103))
     for each in (pair, changed(pair, lambda points: points @ rotation(angle))):

@@ -42,6 +42,7 @@ def ends(team: Team, first: ConvexPolygon, last: ConvexPolygon) -> tuple[Hitch, 
 WEAK = Team(4, 2.4, tension=0.8, quadrotor=ho.Quadrotor(0.132, 1.6))
 
 
+@pytest.mark.slow
 def test_renumbering_gives_the_same_duration() -> None:
     seconds = [
         ho.morph(Hitch.spread(Team(5, 2.6), first), first.renumbered(2), optimize=True).duration

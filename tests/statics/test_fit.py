@@ -131,6 +131,7 @@ def test_lengths_and_tensions_that_fit_keep_all_distances(n: int) -> None:
             assert weakest == 0.0
 
 
+@pytest.mark.slow
 def test_resting_loads_are_limited_by_clasps_and_thrust() -> None:
 
     def capacity(max_thrust: float) -> Capacity:
