@@ -21,7 +21,7 @@ from hitchopt.checks.spans import clasped_pairs, edge_vectors, leg_vectors, pair
 from hitchopt.hitch.forces import cable_of, sag_factors
 from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import CableState, HoldBy, Motion
-from hitchopt.trajectory import bernstein
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, Indices
 
 MAX_DRIFT = 1e-3
@@ -41,11 +41,15 @@ PROBES = np.linspace(0.0, 1.0, 9)
 def contradictions(motion: Motion) -> Indices:
     """Return the cables and pairs that contradict the state of a motion with a single state.
 
-    Legs and tensions are zero without a hitch. Other rules are those of ``CONTRADICTING_CABLES``,
-    by state, and of clasping pairs.
+    Without a hitch, legs are zero, and so are tensions unless cables are tightened. Other rules are
+    those of ``CONTRADICTING_CABLES``, by state, and of clasping pairs.
     """
     state = motion.phases[0].state
-    wrong = _have_hitch_values(motion) & ~motion.taut[0]
+    wrong = np.zeros(motion.team.robots, dtype=np.bool_)
+    if not motion.taut[0]:
+        wrong = _differ_from_zero(motion, motion.legs)
+    if not motion.pulling[0]:
+        wrong |= _differ_from_zero(motion, motion.tensions, motion.pulls)
     if state in CONTRADICTING_CABLES:
         wrong = wrong | CONTRADICTING_CABLES[state](motion)
     cables = np.flatnonzero(wrong)
@@ -55,10 +59,10 @@ def contradictions(motion: Motion) -> Indices:
     return np.unique(items)
 
 
-def _have_hitch_values(motion: Motion) -> Flags:
-    """Return the cables (n,) with a leg or a tension other than zero."""
+def _differ_from_zero(motion: Motion, *curves: PiecewisePolynomial) -> Flags:
+    """Return the cables (n,) on which one of some curves (n, …) is not zero."""
     has_values = np.zeros(motion.team.robots, dtype=np.bool_)
-    for curve in (motion.legs, motion.tensions, motion.pulls):
+    for curve in curves:
         largest = np.max(np.abs(curve.coefficients), axis=(0, -1))
         has_values |= np.any(largest.reshape(len(has_values), -1) > 0.0, axis=1)
     return has_values

@@ -219,11 +219,11 @@ def _worst_tension(motion: Motion, _: float) -> WorstCase:
     """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
 
     While the hitch exists, every cable has the team's tension, or one in the range of its phase, or
-    on a ramp one from 0 to the smallest of that range. Pulls of legs are within the range of
-    friction. Without a hitch, tensions and pulls count as 0.
+    on a ramp one from 0 to the smallest of that range, as while it is tightened. Pulls of legs are
+    within the range of friction. In other states, tensions and pulls count as 0.
     """
     cases = [_pull_jump(motion), _thrust_jump(motion)]
-    if np.any(motion.taut):
+    if np.any(motion.pulling):
         ranges = _tension_ranges(motion)
         cases.append(_out_of_range(motion, Cables, motion.tensions.coefficients, ranges))
         cases.append(_end_deviation(motion))
@@ -247,7 +247,7 @@ def _pull_jump(motion: Motion) -> WorstCase:
     """Return the largest jump of a cable's tension or of a leg's pull."""
     curves = motion.tensions.coefficients, motion.pulls.coefficients
     end_values = np.concatenate([curve[..., [0, -1]] for curve in curves], axis=1)
-    end_values = np.where(motion.taut[:, None, None], end_values, 0.0)
+    end_values = np.where(motion.pulling[:, None, None], end_values, 0.0)
     at_start = end_values[..., 0]
     at_end = end_values[..., 1]
     noise = ROUNDING * (np.abs(at_start[1:]) + np.abs(at_end[:-1]))
@@ -297,7 +297,7 @@ def _out_of_range(
         return largest_of([above, below], 0.0)
 
     spans: Iterator[MotionSpans]
-    spans = spans_type.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.taut)
+    spans = spans_type.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.pulling)
     largest = worst(spans, excess, "max")
     where = (spans_type.names(motion)[largest.item],) if largest.worst > 0.0 else ()
     return WorstCase(largest.worst, largest.time, where)
@@ -327,7 +327,7 @@ def _end_deviation(motion: Motion) -> WorstCase:
 def _ramps(motion: Motion) -> Mask:
     """Return on which pieces tensions ramp up after, or down before, a span without a hitch.
 
-    The mask is (pieces, n).
+    The mask is (pieces, n). Cables are on a ramp, too, while they are tightened.
     """
     resting = motion.taut
     for curve in (motion.drones, motion.vertices):
@@ -341,7 +341,8 @@ def _ramps(motion: Motion) -> Mask:
     rising = _rising(resting, unhitched, low_at_start, low_at_end)
     # A tension that falls rises backward in time.
     falling = _rising(resting[::-1], unhitched[::-1], low_at_end[::-1], low_at_start[::-1])[::-1]
-    return rising | falling
+    tightened = motion.in_states(frozenset({CableState.TIGHTENING}))
+    return rising | falling | tightened[:, None]
 
 
 def _rising(resting: Mask, unhitched: Mask, low_at_start: Mask, low_at_end: Mask) -> Mask:

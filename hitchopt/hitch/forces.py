@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InfeasibleError, Violation, rounded_up
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.catenary import Catenary, pull_terms
 from hitchopt.hitch.series import Series
 from hitchopt.hitch.team import CLOSED, Layout, Team, layout_of
 from hitchopt.values import Array
@@ -442,14 +442,27 @@ def hanging_forces(team: Team, drones: Array) -> Array:
     return forces
 
 
+def hanging_tensions(team: Team, routes: Array) -> Array:
+    """Return the horizontal tensions (…, n) [N] of cables that hang along their routes.
+
+    Where two cables hold each other at a clasp, they pull each other horizontally. Each hangs as if
+    it were straight in plan view: a catenary over the horizontal length (…, n) [m] of its route
+    through the clasps. Tensions are zero for massless cables.
+    """
+    cables = Catenary.spanning(routes, 0.0, team.cable_length)
+    inward, _ = pull_terms(cables.sigma)
+    tensions: Array = 0.5 * GRAVITY * team.cable_density * routes * inward
+    return tensions
+
+
 def cable_forces(team: Team, drones: Array, points: Array, pulls: Array, taut: Array) -> Array:
     """Return the forces (…, 2n, 3) [N] of cables on drones, from hanging (taut = 0) to taut (1).
 
     A leg pulls its drone toward its point, the vertex, with ``chord_pull`` (without a leg, at a
     chain's end, the edge pulls toward the next vertex) and puts half of its weight on the drone;
     the clasps carry the rest. While tensions rise from 0, the share ``taut`` of all weights,
-    including loads, moves from hanging to taut cables: the ratio of weights to tensions and the
-    directions of legs stay constant, and no force jumps.
+    including loads, moves from hanging to taut cables: the ratio of weights to tensions stays
+    constant, and no force jumps.
 
     Parameters
     ----------

@@ -201,17 +201,17 @@ def tautness(motion: Motion) -> Array:
 
     It is the weight with which forces blend from those of a hanging cable to those of a taut one
     (``forces.cable_forces``): ``T / T_stated``, T_stated the smallest tension of the phase, each
-    Bernstein coefficient clipped to [0, 1]. Slack cables have 0. As a polynomial it is continuous
+    Bernstein coefficient clipped to [0, 1]. Free cables have 0. As a polynomial it is continuous
     wherever tensions are. Ramps end at T_stated, as the check ``tension`` verifies.
     """
     lowest = stated_tensions(motion)[..., :1]
     shares = motion.tensions.coefficients / ((1.0 - TENSION_ROUNDING) * lowest)
-    return np.where(motion.taut[:, None, None], np.clip(shares, 0.0, 1.0), 0.0)
+    return np.where(motion.pulling[:, None, None], np.clip(shares, 0.0, 1.0), 0.0)
 
 
 def leg_tensions(motion: Motion) -> Array:
-    """Return legs' tensions at their inner ends (pieces, 2n, degree + 1) [N]; 0 if slack."""
-    return np.where(motion.taut[:, None, None], motion.pulls.coefficients, 0.0)
+    """Return legs' tensions at their inner ends (pieces, 2n, degree + 1) [N]; 0 if free."""
+    return np.where(motion.pulling[:, None, None], motion.pulls.coefficients, 0.0)
 
 
 def reduce_constants(coefficients: Array) -> Array:

@@ -68,6 +68,9 @@ HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING})
 TAUT_STATES = HITCHED_STATE | {CableState.BENT}
 """States in which cables consist of taut parts, with a tension."""
 
+PULLING_STATES = TAUT_STATES | {CableState.TIGHTENING}
+"""States in which cables have planned tensions and pull drones toward ``pull_points``."""
+
 FREE_STATES = frozenset(CableState) - TAUT_STATES - {CableState.NONE}
 """States of cables that are slack or lie on the ground."""
 
@@ -185,8 +188,8 @@ SHARE_TOLERANCE = 2.0**-40
 class Motion(OneLine):
     """The motion of one team: drones, vertices, legs and tensions, and the requirements on them.
 
-    While no hitch exists, vertices and legs are undefined and tensions are 0. Swarms of single
-    drones have none of them.
+    While no hitch exists, vertices and legs are undefined, and tensions are 0 except while cables
+    are tightened, when they pull toward the vertices. Swarms of single drones have none of them.
 
     Parameters
     ----------
@@ -408,6 +411,11 @@ class Motion(OneLine):
     def taut(self) -> NDArray[np.bool_]:
         """(pieces,): whether cables consist of taut parts on each piece."""
         return self.in_states(TAUT_STATES)
+
+    @property
+    def pulling(self) -> NDArray[np.bool_]:
+        """(pieces,): whether cables pull drones with planned tensions on each piece."""
+        return self.in_states(PULLING_STATES)
 
     def in_states(self, states: Set[CableState]) -> NDArray[np.bool_]:
         """Return whether the cables are in one of the states on each piece (pieces,)."""

@@ -75,7 +75,7 @@ def turn_margin(s: Spans, _: Index) -> Line:
 
 
 def range_excess(s: Spans, k: Index) -> Line:
-    """Return ``T - T_max``, or ``T_min - T``; on ramps from 0 to T_min their excesses."""
+    """Return ``T - T_max``, or ``T_min - T``; on ramps from 0 to T_min, their excesses."""
     p = s.plan
     T = p.tensions.on(s, k)
     low, high = p.tension_range[s.piece, k, :, None].swapaxes(0, 1)

@@ -96,10 +96,10 @@ def force_jumps(p: Plan) -> Iterator[Worst]:
     with np.errstate(all="ignore"):
         ends = [thrust(drones.subspan(end), drones.item[:, 0]).v for end in (-1.0, 1.0)]
     thrusts = np.stack(ends, axis=-1).reshape(-1, p.N, 3, 2)
-    taut = p.taut[:, None, None, None]
+    pulling = p.pulling[:, None, None, None]
     yield from largest_jump(jumps_of(thrusts), p, p.names)
-    yield from largest_jump(jumps_of(p.tensions.c[0] * taut), p, p.cables)
-    yield from largest_jump(jumps_of(p.pulls.c[0] * taut), p, p.names)
+    yield from largest_jump(jumps_of(p.tensions.c[0] * pulling), p, p.cables)
+    yield from largest_jump(jumps_of(p.pulls.c[0] * pulling), p, p.names)
 
 
 def range_errors(p: Plan) -> Iterator[Worst]:
@@ -160,8 +160,9 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
             continue
         s = Spans.of(p, on & p.free, range(p.n))
         k = np.tile(np.arange(p.n), np.sum(on & p.free))
-        pulls = any(np.any(x.c[0][on & p.free]) for x in (p.legs, p.tensions, p.pulls))
-        yield at, pulls, "tensions or legs without a hitch"
+        pulls = any(np.any(x.c[0][on & ~p.pulling]) for x in (p.tensions, p.pulls))
+        stray = pulls or bool(np.any(p.legs.c[0][on & p.free]))
+        yield at, stray, "tensions or legs without a hitch"
         if state == LAID:
             yield at, varies((c[:, 1::2] - c[:, 0::2])[on]), "cables turn while they are laid"
         if state == ROLLING:

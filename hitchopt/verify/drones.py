@@ -64,7 +64,7 @@ def thrust(s: Spans, i: Index) -> Line:
         leg = s.leg_chord(i)
         tau = s.tautness(i // 2)
         taut = leg.unit() * s.pull(i) + leg.norm() * tau * (0.5 * p.weight) * UP
-        force = force + taut.where(p.taut[s.piece])
+        force = force + taut.where(p.pulling[s.piece])
         if p.weight > 0.0 and np.any(tau.low < 1.0):
             slack = -tau + 1.0
             hanging = catenary_force(s, i) * slack * p.weight

@@ -374,6 +374,7 @@ class Plan:
         self.formed = np.isin(self.state, ("hitched", ROLLING))
         self.bent = self.state == BENT
         self.taut = self.formed | self.bent
+        self.pulling = self.taut | (self.state == TIGHTENED)  # cables with a tension
         self.free = ~self.taut & (self.n > 0)
         self.clasping = np.isin(self.state, (CLASPING, TIGHTENED, LOOSE))
 
@@ -558,11 +559,13 @@ class Plan:
 
         A ramp begins next to a piece without a hitch, is at rest, and ends at the first joint at
         which the tension is the smallest at which the hitch is held. What never gets there is none.
+        Cables that are tightened are on one throughout.
         """
         still = np.delete(self.points.c[0], self.edges[1:3].ravel(), axis=1)
         rest = np.all(np.ptp(still, axis=-1) <= REST_TOL, axis=(1, 2))
         ends = self.tensions.c[0][:, :, 0][..., [0, -1]]
-        low, ramp = ends < self.min_tension - TAUT_TOL, np.zeros(ends.shape[:2], bool)
+        low = ends < self.min_tension - TAUT_TOL
+        ramp = np.repeat((self.state == TIGHTENED)[:, None], self.n, axis=1)
         forward = range(len(rest))
         for (pieces, start), k in product(((forward, 0), (forward[::-1], 1)), range(self.n)):
             rising: list[int] | None = None  # pieces since there was no hitch

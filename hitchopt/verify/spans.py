@@ -211,7 +211,7 @@ class Spans:
     def tautness(self, k: Index) -> Line:
         """Return the tautness τ of cables: ``T / T_stated``, at most 1."""
         ratio = self.plan.tensions.on(self, k) * (1.0 / self.plan.min_tension[self.piece, k])
-        return minimum(ratio, 1.0).where(self.plan.taut[self.piece])
+        return minimum(ratio, 1.0).where(self.plan.pulling[self.piece])
 
     def inverse_tension(self, T: Line, k: Index) -> Line:
         """Return ``τ / T`` of segments of cables k of tension T."""

@@ -24,7 +24,7 @@ from .arithmetic import (
     normalize,
     runs_of,
 )
-from .cables import crossing_parts
+from .cables import crossing_parts, range_excess
 from .catenary import above_floor, catenary_links, lowest_height, own_cable_gap, shift
 from .links import Replay, bent_orders
 from .plan import (
@@ -140,6 +140,7 @@ def free_cables(p: Plan) -> Iterator[Row]:
     yield from clasping_cables(p)
     longer = "cable_length ratio max", 1e-4  # bound of lengths along vertices
     yield prove(*longer, tightened, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
+    yield prove("tension N max", 1e-4, tightened, range_excess)
     for further in (laid_cables, drawn_cables, loose_cables):
         yield from further(p)
 

@@ -84,7 +84,7 @@ def test_phases_do_not_cover_their_neighbours(first: str, state: CableState) -> 
     motion = planned("tie_carry_untie").motion
     index = index_of(motion, first)
     assert motion.phases[index_of(motion, "swap 1") + 2].name == "tighten"
-    assert refused(merged(motion, index, index + 2, state)) == VERTICES
+    assert refused(merged(motion, index, index + 2, state)) >= VERTICES
 
 
 @pytest.mark.slow
@@ -140,13 +140,13 @@ def test_a_clasp_turns_about_a_point_at_rest() -> None:
     assert refused(altered(motion, "drones", plus(where, bump))) == {f"p{layout.clasps[1]}"}
 
 
-@pytest.mark.parametrize("part", ["legs", "tensions"])
-def test_no_leg_and_no_tension_without_a_hitch(part: str) -> None:
+@pytest.mark.parametrize(("part", "phase"), [("legs", "tighten"), ("tensions", "swap 2")])
+def test_no_leg_and_no_tension_without_a_hitch(part: str, phase: str) -> None:
     motion = planned("form_triangle").motion
-    first = int(np.argmax(motion.phase_of_piece == index_of(motion, "tighten")))
+    first = int(np.argmax(motion.phase_of_piece == index_of(motion, phase)))
     changed = altered(motion, part, plus((first, 1), 0.1))
     assert refused(changed) == {motion.team.cable_names[1]}
-    assert row(changed, "interlacing").where[0].endswith("(tighten)")
+    assert row(changed, "interlacing").where[0].endswith(f"({phase})")
 
 
 @pytest.mark.slow

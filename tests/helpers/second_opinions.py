@@ -33,7 +33,7 @@ ROWS: dict[str, tuple[Rows, ...]] = {
     "laid": (tying.bent_cables, tying.laid_cables),
     **dict.fromkeys(("cable_length", "equilibrium", "contact"), TAUT),
     "crossing": (*TAUT, teams.between_plans),
-    "tension": (driver.jumps, cables.taut_cables),
+    "tension": (driver.jumps, cables.taut_cables, tying.free_cables),
     **dict.fromkeys(("span", "drawn"), (tying.free_cables,)),
     "grip": (objects.gripped,),
     "yaw": (objects.steady,),

@@ -23,6 +23,7 @@ from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.lab.sweeps.campaign import Distribution, run_campaign, save_campaign
 from hitchopt.values import Array
+from tests.helpers.plans import planned
 from tests.helpers.scripted import regular_hitch, resting_task
 
 STIFFNESS = 2000.0  # Of the springs that hold drones [N/m]
@@ -108,6 +109,19 @@ def test_without_friction_vertices_rest_where_they_are_planned(
     np.testing.assert_allclose(world.vertices[0], clasps_of_plan, atol=1e-3)
     planned = hitch.team.tension[:, None] * hitch.team.layout.exists
     np.testing.assert_allclose(world.tensions, planned[planned > 0.0][None], rtol=0.03)
+
+
+@pytest.mark.slow
+def test_cables_pull_as_planned_while_their_tensions_rise() -> None:
+    """From the tension of cables that hang, as drones arrive, which are hardly held back by it."""
+    flight = fly(Task.of(planned("form_triangle").flight), SLIDING)
+    record, states = flight.record, flight.task.states
+    planned_tensions = states.tensions[record.index]
+    np.testing.assert_allclose(record.tensions[0], planned_tensions[0], rtol=0.05)
+    np.testing.assert_allclose(record.tensions, planned_tensions, rtol=0.25)
+    assert planned_tensions[0, 0] < 0.6 * planned_tensions[-1, 0]
+    off = np.linalg.norm(record.drones - states.positions[record.index], axis=-1)
+    assert np.max(off) < 0.02
 
 
 def test_both_cables_of_a_clasp_share_a_bound_of_friction() -> None:

@@ -171,6 +171,12 @@ def at_once(settings: Settings, arrays: Arrays) -> None:
         edited("tensions", lambda _: arrays["tension"][:, None], pieces)(settings, arrays)
 
 
+def tight(settings: Settings, arrays: Arrays) -> None:
+    """Let cables pull three times as hard while they are tightened."""
+    for pieces in pieces_in(settings, arrays, "being tightened"):
+        times("tensions", 3.0, pieces)(settings, arrays)
+
+
 def turning(settings: Settings, arrays: Arrays) -> None:
     """Turn what is carried by 0.3 rad against its clasps."""
     c, s = np.cos(0.3), np.sin(0.3)
@@ -347,6 +353,7 @@ LIES = [
     Lie("form", "hanging free is said to be on the ground", stated("hanging free", "on the ground"), "consistency"),
     Lie("form", "tightening is said to follow a loss", stated("being tightened", "loose after a loss"), "consistency"),
     Lie("form", "tightening is said to be hitched", stated("being tightened", "hitched"), "cable_length"),
+    Lie("form", "tightened cables pull three times as hard", tight, "tension"),
     Lie("form", "the hitch was there at first", everywhere("state", "hitched"), "cable_length"),
     Lie("form", "the hitch is never there", stated("hitched", "being tightened"), "consistency"),
     Lie("form", "the second swap turns back", turned_back, "interlacing"),

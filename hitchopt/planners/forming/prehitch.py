@@ -20,9 +20,10 @@ import numpy as np
 
 from hitchopt.checks.bodies import clasped_outlines
 from hitchopt.geometry import hull_distance
-from hitchopt.geometry.vectors import cross, left_of, unit
+from hitchopt.geometry.vectors import cross, left_of, length, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.forces import hanging_tensions
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import CableState, Motion
@@ -88,6 +89,13 @@ TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 
 JERK_SHARE = 0.7
 """Fraction of the jerk for the angle's own rate."""
+
+HELD_BACK = 0.01
+"""[m] Largest distance by which sagging cables hold back drones, at rest, as tensions rise.
+
+Where the plan has its drones, cables that hang along their routes have the full tension. Drones
+that feed a lower one forward are pulled inward until the cables sag enough for it. With 1 cm,
+tensions rise from 0.45 of the full one for cables of 5 g/m, and from 0.75 for 10 g/m."""
 
 CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Fractions of the line from pre-hitch to hitch that are candidates for the clasps."""
@@ -347,7 +355,8 @@ class PreHitch:
         """Return the phases up to the hitch in step ``index``: two swaps, tightening, tension.
 
         While drones move out, clasps move on lines too. Their ends are within reach of all cables,
-        and since the lengths of routes are convex, so are the points between.
+        and since the lengths of routes are convex, so are the points between. With the drones, the
+        tensions rise to those of cables that hang along their routes (``hanging_share``).
         """
         hitch = self.hitch
         team = hitch.team
@@ -372,6 +381,8 @@ class PreHitch:
         progress = line_progress(team, limits, start, hitch.drones, distance)
         outward = on_lines(progress, start, hitch.drones)
         clasps = on_lines(progress, self.ellipses.clasp_points(hitch), hitch.vertices)
+        pull_at_end = hanging_share(hitch) * team.tension
+        pulls = progress.coefficients[:, None] * pull_at_end[:, None]
         tighten = stage(
             "tighten",
             outward,
@@ -380,6 +391,7 @@ class PreHitch:
             index,
             CableState.TIGHTENING,
             vertices=clasps,
+            tensions=PiecewisePolynomial(progress.breaks, pulls),
         )
         tension = tension_stage(
             hitch,
@@ -389,8 +401,19 @@ class PreHitch:
             requirements,
             index,
             CableState.HITCHED,
+            pull_at_end,
         )
         return [*stages, tighten, tension]
+
+
+def hanging_share(hitch: Hitch) -> float:
+    """Return the share of a hitch's tensions with which no cable holds back drones by HELD_BACK."""
+    layout, vertices = hitch.team.layout, hitch.vertices
+    legs = (hitch.drones - vertices[layout.anchors])[:, :2]
+    edges = layout.edges(vertices)[:, :2]
+    routes = length(edges) + np.sum(length(legs).reshape(-1, 2), axis=1)
+    tensions = hanging_tensions(hitch.team, routes - 2.0 * HELD_BACK)
+    return min(float(np.max(tensions / hitch.team.tension)), 1.0)
 
 
 def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:

@@ -16,7 +16,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary, bounded_radius
 from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.motion.loads import tautness
+from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.morph.morph import POSITION_TOLERANCE
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
@@ -83,11 +83,10 @@ def stage(
     limit = requirements.limits.body_rate
     if limit is None:
         return motion
-    pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
     parts = (
         drones,
         motion.pull_points,
-        PiecewisePolynomial(drones.breaks, pulls),
+        PiecewisePolynomial(drones.breaks, leg_tensions(motion)),
         PiecewisePolynomial(drones.breaks, tautness(motion)),
     )
     factor = turning_stretch(team, limit, parts)
@@ -132,11 +131,16 @@ def tension_stage(
     requirements: Requirements,
     index: int,
     state: CableState,
+    start: Array | float = 0.0,
 ) -> Motion:
-    """Return the stage in which tensions rise to those of a hitch, drones (2n, 3) [m] at rest."""
+    """Return the stage in which tensions rise from ``start`` (n,) [N] to those of a hitch.
+
+    Its drones (2n, 3) [m] and vertices are at rest.
+    """
     team = hitch.team
     breaks = np.array([0.0, seconds])
-    rising = team.tension[:, None] * SMOOTH  # (n, coefficients)
+    first = np.broadcast_to(start, team.robots)[:, None]
+    rising = first + (team.tension[:, None] - first) * SMOOTH  # (n, coefficients)
     return stage(
         "tension",
         PiecewisePolynomial.constant(breaks, drones),
