@@ -76,7 +76,8 @@ def test_type_checkers_read_the_names_that_are_imported() -> None:
         assert getattr(import_module(module), name) is table[name]
 
 
-HEAVY = ("casadi", "matplotlib", "toppra", "scipy", "ruamel.yaml")
+OF_PLANNERS = ("casadi", "matplotlib", "toppra", "scipy")
+HEAVY = (*OF_PLANNERS, "ruamel.yaml")
 UNUSED = ("mujoco", "osqp")
 PLANNED = f"""
 import sys, hitchopt as ho
@@ -93,6 +94,7 @@ print(*{{*{UNUSED!r}}} & {{*sys.modules}})
     "code",
     [
         f"import hitchopt, sys; print(*{{*{HEAVY!r}}} & {{*sys.modules}})",
+        f"import hitchopt.steps, sys; print(*{{*{OF_PLANNERS!r}}} & {{*sys.modules}})",
         pytest.param(PLANNED, marks=pytest.mark.slow),
     ],
 )

@@ -17,6 +17,7 @@ from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.checks.spans import phase_parts
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.rest_errors import bends_at, planned_rest, settled
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import states_at
 from hitchopt.values import Array
@@ -63,8 +64,6 @@ def rests_with_least_friction(motion: Motion, t: Array) -> Array:
 
     Drones hold the planned pulls. Vertices are infinitely far without a rest.
     """
-    from hitchopt.hitch.rest_errors import bends_at, planned_rest, settled
-
     team, states = motion.team, states_at(motion, t)
     rests = planned_rest(
         team, states.positions, states.vertices, states.tensions, states.cable_forces

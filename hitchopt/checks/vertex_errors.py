@@ -8,18 +8,16 @@ pulls, and errors of cables, drones and friction are independent and as large as
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
+from hitchopt.hitch.rest_errors import KINDS, ErrorSizes, planned_rest, vertex_errors
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
-
-if TYPE_CHECKING:
-    from hitchopt.hitch.rest_errors import ErrorSizes
 
 AT_REST = 1e-6
 """[m/s], [m/s²] Largest velocity and acceleration at rest."""
@@ -76,8 +74,6 @@ _ERRORS: WeakKeyDictionary[Motion, list[RestErrors]] = WeakKeyDictionary()
 
 def errors_at_rests(motion: Motion) -> list[RestErrors]:
     """Return the errors of vertices at every rest, in order of time; computed only once."""
-    from hitchopt.hitch.rest_errors import ErrorSizes
-
     if motion not in _ERRORS:
         sizes = ErrorSizes.of(motion.team, motion.requirements.limits.tracking)
         _ERRORS[motion] = errors_of_sizes(motion, sizes)
@@ -86,8 +82,6 @@ def errors_at_rests(motion: Motion) -> list[RestErrors]:
 
 def errors_of_sizes(motion: Motion, sizes: ErrorSizes) -> list[RestErrors]:
     """Return the errors of vertices at every rest for errors of other sizes than the team's."""
-    from hitchopt.hitch.rest_errors import planned_rest, vertex_errors
-
     states = states_at_rests(motion)
     if states is None:
         return []
@@ -122,8 +116,6 @@ def _largest_error(motion: Motion, _results: SpanResults, _gamma: float) -> Wors
 
 def error_in_words(motion: Motion) -> str:
     """Return the largest error at rest with its contributions in words; empty without a rest."""
-    from hitchopt.hitch.rest_errors import KINDS
-
     worst = _worst_vertex(motion)
     if worst is None:
         return ""

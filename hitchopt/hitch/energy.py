@@ -24,17 +24,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array
-from scipy.sparse.linalg import splu
 
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 AXIAL_STIFFNESS = 1e4
 """[N] EA of a braided polyethylene line of 1 mm. Without stretch, tensions of rigid drones would be
@@ -360,6 +361,8 @@ class HitchEnergy:
         Nodes are at positions (S, nodes, 3) [m]; ``force_slopes`` are the ``forces`` of ``linear``;
         ``damping`` (S,) [N/m] is added to the diagonal.
         """
+        from scipy.sparse import coo_array
+
         samples = len(force_slopes)
         size = 3 * len(self.free)
         first_rows = size * np.arange(samples)[:, None, None]
@@ -378,6 +381,8 @@ class HitchEnergy:
 
     def solved(self, matrix: csc_array, forces: Array) -> Array:
         """Return displacements (S, nodes, 3, …) [m] caused by forces of this shape [N]."""
+        from scipy.sparse.linalg import splu
+
         samples, nodes, axes, *right_sides = forces.shape
         free = np.flatnonzero(np.tile(self.free.ravel(), samples))
         displacements = np.zeros((samples * nodes * axes, *right_sides))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.candidates import Effort, explained_once
 from hitchopt.planners.ends import split_hitch
+from hitchopt.planners.path import Path
 from hitchopt.planners.rests import check_at_rest, check_start
 from hitchopt.planners.settling import with_settling
 from hitchopt.planners.task import RestState, StepPlan, StepTask
@@ -44,9 +45,6 @@ from hitchopt.steps.blended import plan_blended
 from hitchopt.steps.hitch_step import NonstopStep
 from hitchopt.steps.step import Step
 from hitchopt.values import Array
-
-if TYPE_CHECKING:
-    from hitchopt.planners.path import Path
 
 AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
 UNPLANNED = "not checked yet: steps "  # Start of the note on steps that were not planned

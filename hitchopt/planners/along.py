@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,15 +16,21 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import end_of_transport
+from hitchopt.planners.morph.actions import Action, ActionMorph, FlownAction
+from hitchopt.planners.morph.detours import Translatable, detours
+from hitchopt.planners.morph.legs import largest_roll
+from hitchopt.planners.morph.morph import check_loads, clear_straight_path, moves, straight_path
+from hitchopt.planners.morph.retargeting import (
+    EarlierRoute,
+    motion_by_earlier_clock,
+    straight_progress,
+)
+from hitchopt.planners.path import Path, RigidPath
 from hitchopt.planners.rests import IDLE, check_at_rest, rest_motion
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
+from hitchopt.planners.timing.timed_motion import motion_along
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
-
-if TYPE_CHECKING:
-    from hitchopt.planners.morph.actions import Action, FlownAction
-    from hitchopt.planners.morph.detours import Translatable
-    from hitchopt.planners.path import Path
-    from hitchopt.trajectory import PiecewisePolynomial
 
 P = TypeVar("P", bound="Translatable")
 
@@ -45,8 +51,6 @@ def plan_along(
     phase: with the step's name, index, remark and range of tensions.
     duration: prescribed duration [s]; None for the fastest one.
     """
-    from hitchopt.planners.timing.timed_motion import motion_along
-
     motion = motion_along(path, task.requirements, duration)
     return plan_of(task, path, motion, end, phase)
 
@@ -78,7 +82,6 @@ def past_obstacles(
     direct: plan along ``path``, which is None if its motion has none.
     along: returns the plan along another path.
     """
-    from hitchopt.planners.morph.detours import detours
 
     def on_detour(route: P, shift: PiecewisePolynomial) -> StepPlan:
         """Return the certified plan along a translated path."""
@@ -101,8 +104,6 @@ def straight_plan(
     task: StepTask, end: Hitch, phase: Phase, duration: float | None = None
 ) -> StepPlan:
     """Return the plan along the straight path to a hitch; of one at rest without a path."""
-    from hitchopt.planners.morph.morph import moves, straight_path
-
     if not moves(task.hitch, end):
         rest = rest_motion(end, task.requirements, duration or IDLE, phase)
         return task.plan_ending(rest, end)
@@ -125,10 +126,6 @@ def rigid_plan(
     phase: with the step's name and index.
     duration: prescribed duration [s]; None for the fastest one.
     """
-    from hitchopt.planners.morph.morph import check_loads
-    from hitchopt.planners.path import RigidPath
-    from hitchopt.planners.timing.timed_motion import motion_along
-
     requirements = task.requirements
     end = end_of_transport(task.hitch, to, yaw)
     check_at_rest(end, requirements, end_of_step(phase))
@@ -157,13 +154,6 @@ def plan_like(
     It is on the same route, moved to its own ends: of straight lines by the same clock as well,
     stretched or shortened to the limits. Parameters are those of ``plan_along``.
     """
-    from hitchopt.planners.morph.morph import check_loads, clear_straight_path
-    from hitchopt.planners.morph.retargeting import (
-        EarlierRoute,
-        motion_by_earlier_clock,
-        straight_progress,
-    )
-
     progress = straight_progress(earlier)
     if progress is None:
         phase = replace(phase, remark="on the route of an earlier plan")
@@ -205,8 +195,6 @@ def action_plan(
     duration: prescribed duration [s]; None for the fastest one.
     reason: why its legs differ; empty if they do not.
     """
-    from hitchopt.planners.morph.actions import ActionMorph
-
     flown = ActionMorph(action, end, task.requirements, duration).solve()
     if flown is None:
         rest = rest_motion(end, task.requirements, duration or IDLE, phase)
@@ -223,9 +211,6 @@ def rolling_action_plan(
     Parameters are those of ``action_plan``. Raises InfeasibleError if legs come too close with any
     roll.
     """
-    from hitchopt.planners.morph.actions import ActionMorph
-    from hitchopt.planners.morph.legs import largest_roll
-
     morph = ActionMorph(action, end, task.requirements, duration)
 
     def along(path: Path) -> StepPlan:

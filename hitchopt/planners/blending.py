@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from hitchopt.motion.motion import Phase
 from hitchopt.planners.along import MAX_ROLLING, past_obstacles
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
+from hitchopt.planners.morph.legs import largest_roll, rolling_paths
+from hitchopt.planners.morph.morph import BlendedMorph
+from hitchopt.planners.path import Path
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
-
-if TYPE_CHECKING:
-    from hitchopt.planners.path import Path
 
 MAX_ROLLING_RATIO = 1.05
 """Largest duration of blended steps whose legs roll, over that of the steps with stops."""
@@ -101,9 +101,6 @@ class BlendedSteps:
 
     def _through(self, hitches: Sequence[Sequence[Hitch]], *, rolls: bool = False) -> StepPlan:
         """Return the certified plan through the hitches of each step, the last one its end."""
-        from hitchopt.planners.morph.legs import rolling_paths
-        from hitchopt.planners.morph.morph import BlendedMorph
-
         requirements = self.task.requirements
         passed = [hitch for of_step in hitches for hitch in of_step]
         morph = BlendedMorph([self.task.hitch, *passed], requirements)
@@ -141,8 +138,6 @@ class BlendedSteps:
 
 def _rolling_plan(along: Callable[[Path], StepPlan], path: Path) -> StepPlan:
     """Return the certified plan along a path with legs that roll."""
-    from hitchopt.planners.morph.legs import largest_roll
-
     plan = require_certified(along(path))
     roll = math.degrees(largest_roll(path))
     return plan.with_remark(f"legs roll by up to {roll:.0f}° on the way")

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
+from hitchopt.planners.morph.friction import feedforward_matters, friction_feedforward
 from hitchopt.planners.task import StepPlan
 
 FRICTION_SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
@@ -40,8 +41,6 @@ def compensated(plan: StepPlan, *, timed: bool) -> Compensated:
     motion = plan.motion
     if motion.team.friction == 0.0:
         return Compensated(plan, 1.0)
-    from hitchopt.planners.morph.friction import feedforward_matters, friction_feedforward
-
     if not feedforward_matters(motion):
         return Compensated(plan, 1.0)
     slower = not timed and motion.requirements.limits.duration is None

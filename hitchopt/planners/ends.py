@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,14 +16,12 @@ from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
+from hitchopt.planners.morph.actions import Action
+from hitchopt.planners.morph.legs import SLIDING_TOLERANCE
 from hitchopt.planners.rests import check_at_rest
 from hitchopt.values import Array, ByValue, Points
 from hitchopt.values.fields import Key, either, list_of, one_or_each, words
 from hitchopt.values.units import LENGTH_OR_ZERO, ROLL
-
-if TYPE_CHECKING:
-    from hitchopt.planners.morph.actions import Action
-
 
 SPLIT_TEXT = "Slack split of the cables: balanced, spread, or a list of q-legs d_k"
 
@@ -115,8 +113,6 @@ def end_of_transport(start: Hitch, to: Array, yaw: float) -> Hitch:
 
 def end_of_action(action: Action, legs: SlackSplit | None, requirements: Requirements) -> End:
     """Return the hitch after an action; by default its legs are nearest to the action's own."""
-    from hitchopt.planners.morph.legs import SLIDING_TOLERANCE
-
     start = action.start
     polygon = action.polygon
     if legs is not None:

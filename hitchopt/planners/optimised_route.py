@@ -15,12 +15,15 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.along import past_obstacles, plan_along
 from hitchopt.planners.candidates import Candidate, Effort, first_feasible
 from hitchopt.planners.compensation import compensated
+from hitchopt.planners.morph.legs import legs_clear, with_slides
+from hitchopt.planners.morph.morph import load_violation, shape_violation
+from hitchopt.planners.path import Path
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
+from hitchopt.planners.timing.timed_motion import check_duration, in_duration
 
 if TYPE_CHECKING:
     from hitchopt.planners.optimise.cost import FlightCost
     from hitchopt.planners.optimise.knots import KnotPath
-    from hitchopt.planners.path import Path
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
 BEST_ROUTE = "the best route tried"
@@ -95,8 +98,6 @@ class OptimisedRoute:
 
     def _certified_motion(self, path: Path) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
-        from hitchopt.planners.morph.legs import legs_clear, with_slides
-
         requirements = self.task.requirements
         climbing = self._climbing(path)
         candidates = list[Candidate[Motion]]()
@@ -126,8 +127,6 @@ class OptimisedRoute:
 
     def _in_duration(self, plan: StepPlan) -> StepPlan:
         """Return the certified plan in the prescribed duration, if there is one."""
-        from hitchopt.planners.timing.timed_motion import check_duration, in_duration
-
         if self.duration is None:
             return plan
         check_duration(self.duration, plan.motion.duration)
@@ -147,8 +146,6 @@ class OptimisedRoute:
 
         Raises InfeasibleError with the limits that it breaks, and where along the route.
         """
-        from hitchopt.planners.morph.morph import load_violation, shape_violation
-
         path = self._climbing(best.path)
         route = f"along {BEST_ROUTE} ({best.name})"
         violation = shape_violation(path) or load_violation(path, self.task.requirements.limits)

@@ -11,6 +11,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.task import RestState, StepPlan, StepTask, require_certified
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -53,8 +54,6 @@ def check_hover(task: StepTask, drones: Array, when: str) -> None:
 
 def hover_motion(task: StepTask, duration: float) -> Motion:
     """Return the motion of parked or hovering drones at rest on free cables."""
-    from hitchopt.planners.forming.stages import stage
-
     team = task.before.team
     rest = PiecewisePolynomial.constant([0.0, duration], task.before.drones)
     motion = stage("parked", rest, team, task.requirements, task.index, CableState.GROUND)

@@ -16,6 +16,7 @@ from hitchopt.planners.along import end_of_step, past_obstacles, plan_along, str
 from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import SlackSplit, end_of_morph
+from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.optimised_route import OptimisedRoute
 from hitchopt.planners.rests import check_at_rest
 from hitchopt.planners.task import StepPlan, StepTask
@@ -128,16 +129,12 @@ class RouteSearch:
 
     def _requests_optimiser(self) -> bool:
         """Return whether the step requests an optimised route."""
-        from hitchopt.planners.morph.morph import moves
-
         for_time = self.allow_slides or self.phase.tension is not None
         is_requested = self.cost is not None or (for_time and self.duration is None)
         return self.task.optimiser and is_requested and moves(self.task.hitch, self.end)
 
     def _requested_plan(self) -> StepPlan:
         """Return the optimised plan that the step requests, which may be along straight lines."""
-        from hitchopt.planners.morph.morph import straight_path
-
         ends = self.task.hitch, self.end
         straight = Candidate(
             "straight lines", partial(straight_path, *ends, self.task.requirements)

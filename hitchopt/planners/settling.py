@@ -21,6 +21,7 @@ from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.rest_errors import longest_period, planned_rest, settled
 from hitchopt.motion.motion import SETTLE, Motion, Phase, concatenated
 from hitchopt.motion.states import states_at
 from hitchopt.planners.along import straight_plan
@@ -173,8 +174,6 @@ class Settling:
 
         It acts against slides; a negative share acts in their direction.
         """
-        from hitchopt.hitch.rest_errors import settled
-
         team = self.task.hitch.team
         return settled(
             team,
@@ -197,8 +196,6 @@ class Settling:
     @cached_property
     def shortest_move(self) -> float:
         """Shortest duration of an over-travel [s]."""
-        from hitchopt.hitch.rest_errors import longest_period
-
         return MOVE_SHARE * longest_period(self.task.hitch.team, self.at_rest)
 
     def candidate(
@@ -319,8 +316,6 @@ def _lasting(motion: Motion, duration: float) -> Motion:
 
 def _rests(hitches: list[Hitch], requirements: Requirements) -> dict[str, Array]:
     """Return hitches of a team at rest, as ``planned_rest``."""
-    from hitchopt.hitch.rest_errors import planned_rest
-
     rests = []
     for hitch in hitches:
         motion = rest_plan(hitch, requirements).motion

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +20,9 @@ from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
+from hitchopt.planners.path import Path
+from hitchopt.planners.timing.timed_motion import check_duration
 from hitchopt.values import Array, Indices
-
-if TYPE_CHECKING:
-    from hitchopt.planners.path import Path
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +193,6 @@ class StepTask:
 
 def slowed_to_duration(motion: Motion, duration: float | None, phase: Phase) -> Motion:
     """Return a motion slowed down to the prescribed duration of a phase's step [s], if any."""
-    from hitchopt.planners.timing.timed_motion import check_duration
-
     if duration is None:
         return motion
     check_duration(duration, motion.duration, f"of step {phase.step} ({phase.name})")

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -26,17 +26,33 @@ from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import RolledLegs, SlackSplit, end_of_action, split_hitch
 from hitchopt.planners.forming import SwapSettings
+from hitchopt.planners.forming.approach import (
+    Approach,
+    DirectApproach,
+    GatheredApproach,
+    OverApproach,
+    assign_pairs,
+    assign_robots,
+)
+from hitchopt.planners.forming.circles import FURTHER_SIZES, SIZES, CircleSize, CircularHitches
+from hitchopt.planners.forming.laying import (
+    Laying,
+    RollPath,
+    find_laying,
+    roll_motion,
+    senses_of,
+    split_for_rolling,
+)
+from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
+from hitchopt.planners.forming.stages import hover_altitude, reversed_stages, stage, straight_lines
+from hitchopt.planners.morph.actions import adjust
+from hitchopt.planners.path import RigidPath
 from hitchopt.planners.rests import check_at_rest, check_hover, rest_plan
 from hitchopt.planners.routes import RouteSearch, plan_to_hitch
 from hitchopt.planners.task import StepPlan, StepTask, require_certified, require_tracking
+from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.values import Array, Indices
 from hitchopt.values.fields import with_fields
-
-if TYPE_CHECKING:
-    from hitchopt.planners.forming.approach import Approach
-    from hitchopt.planners.forming.circles import CircleSize
-    from hitchopt.planners.forming.laying import Laying
-    from hitchopt.planners.forming.prehitch import PreHitch
 
 T = TypeVar("T")
 
@@ -57,8 +73,6 @@ def end_of_form(
     Without ``legs``, legs keep drones apart as pairs roll if cables are laid; otherwise they
     are spread, with the largest feasible cable margin.
     """
-    from hitchopt.planners.forming.laying import senses_of, split_for_rolling
-
     if legs is not None:
         return split_hitch(team, outline, altitude, legs, requirements)
     if levels is not None:
@@ -95,8 +109,6 @@ def holding_assignment(
     It is the first one with which the hitch of the assigned team, its ``goal``, holds at rest: if
     short flights leave some cables too little slack, or others too much, slack is to be more even.
     """
-    from hitchopt.planners.forming.approach import assign_robots
-
     leg = requirements.limits.leg
 
     def holding(evenness: float) -> Assignment:
@@ -118,9 +130,6 @@ def tyings(
     Cables are laid on levels (n,), if they are given; otherwise drones swap to tie the goal
     directly, or another hitch on a circle that becomes the goal.
     """
-    from hitchopt.planners.forming.laying import find_laying
-    from hitchopt.planners.forming.prehitch import find_prehitch
-
     requirements = task.requirements
 
     def by_laying(levels: Indices) -> StepPlan:
@@ -154,9 +163,6 @@ def untyings(task: StepTask) -> Iterator[Candidate[StepPlan]]:
     Cables that were laid leave each other; otherwise drones swap to untie the hitch as it is,
     or one on a circle in its place.
     """
-    from hitchopt.planners.forming.laying import find_laying, split_for_rolling
-    from hitchopt.planners.forming.prehitch import find_prehitch
-
     requirements = task.requirements
     hitch = task.hitch
     senses = task.before.assumed_senses
@@ -221,8 +227,6 @@ STEEP_RADIUS = 0.25
 
 def swap_ways(swap: SwapSettings) -> Iterator[SwapWay]:
     """Yield swaps in the order of the search: as they are set, then steeper if that is free."""
-    from hitchopt.planners.forming.circles import FURTHER_SIZES, SIZES
-
     yield SwapWay("", swap, SIZES)
     default = SwapSettings()
     if (swap.tilt, swap.radius) == (default.tilt, default.radius):
@@ -235,9 +239,6 @@ def tyings_on_circles(goal: Hitch, requirements: Requirements, way: SwapWay) -> 
 
     Their shapes are feasible; their altitude is that of the goal.
     """
-    from hitchopt.planners.forming.circles import CircularHitches
-    from hitchopt.planners.forming.prehitch import find_prehitch
-
     if not goal.team.layout.closed:
         return
     circles = CircularHitches(goal, requirements)
@@ -301,8 +302,6 @@ def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
 
 def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepPlan:
     """Return the plan that unties the task's hitch, with the legs of ``hitch``."""
-    from hitchopt.planners.forming.stages import reversed_stages
-
     requirements = task.requirements
     motions = adjusting_motions(task, hitch.q_legs)
     if abs(tying.hitch.altitude - hitch.altitude) > ALTITUDE_TOLERANCE:
@@ -352,8 +351,6 @@ eight irregular hitches that are tied so; where it does not suffice, another cir
 
 def approach_motion(task: StepTask, goal: Array) -> Motion:
     """Return the motion of free cables along the first feasible route, or raise one error."""
-    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach, OverApproach
-
     before = task.before
     requirements = task.requirements
 
@@ -379,9 +376,6 @@ def flight_over(task: StepTask, spots: Array, *, in_order: bool) -> StepPlan:
     Spots are those of q0, r0, q1, … ``in_order``; otherwise robots are assigned to pairs of spots
     with the shortest flights. Drones do not descend on the way.
     """
-    from hitchopt.planners.forming.approach import assign_pairs
-    from hitchopt.planners.forming.stages import hover_altitude
-
     before = task.before
     team = before.team
     places = team.listed
@@ -402,8 +396,6 @@ def flight_over(task: StepTask, spots: Array, *, in_order: bool) -> StepPlan:
 
 def descent(task: StepTask) -> StepPlan:
     """Return the plan of free cables whose drones descend straight to the ground."""
-    from hitchopt.planners.forming.stages import stage, straight_lines
-
     before = task.before
     requirements = task.requirements
     flat = np.array([1.0, 1.0, 0.0])
@@ -416,8 +408,6 @@ def descent(task: StepTask) -> StepPlan:
 
 def rolled_plan(task: StepTask, end: Array, phase: Phase) -> StepPlan:
     """Return the plan that rolls pairs to the angles ``end`` (clasps,) [rad]; no vertex moves."""
-    from hitchopt.planners.forming.laying import RollPath, roll_motion
-
     hitch = task.hitch
     start = hitch.roll if task.before.open_roll is None else task.before.open_roll
     motion = roll_motion(RollPath(hitch, start, end), task.requirements, phase)
@@ -476,9 +466,6 @@ def vertical_motion(
     hitch: Hitch, altitude: float, requirements: Requirements, phase: Phase
 ) -> Motion:
     """Return the motion of a hitch straight up or down; it sets the end of ``phase``."""
-    from hitchopt.planners.path import RigidPath
-    from hitchopt.planners.timing.timed_motion import motion_along
-
     path = RigidPath(hitch, np.append(hitch.polygon.centroid, altitude), 0.0)
     motion = motion_along(path, requirements)
     return motion.replaced(phases=(replace(phase, end=motion.duration),))
@@ -486,8 +473,6 @@ def vertical_motion(
 
 def adjusting_motions(task: StepTask, q_legs: Array) -> list[Motion]:
     """Return the motion in which cables slide to q-legs; no motion if they have them."""
-    from hitchopt.planners.morph.actions import adjust
-
     hitch = task.hitch
     if np.array_equal(q_legs, hitch.q_legs):
         return []

@@ -9,6 +9,7 @@ from functools import partial
 from hitchopt.errors import InfeasibleError, RequestError, broken_limit
 from hitchopt.planners.blending import BlendedSteps, PassedStep
 from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.morph.morph import moves
 from hitchopt.planners.task import (
     RestState,
     StepPlan,
@@ -72,8 +73,6 @@ def _plan_stopping(
 
 def _plan_nonstop(steps: Sequence[NonstopStep], task: StepTask) -> StepPlan:
     """Return the certified plan of steps without a stop; of one step that of its own."""
-    from hitchopt.planners.morph.morph import moves
-
     if len(steps) == 1:
         return require_certified(steps[0].plan(task))
     passed = list[PassedStep]()

@@ -16,6 +16,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, surface_below
 from hitchopt.planners.along import OBSTACLE_CHECKS
 from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.carrying.detours import CarrySearch
 from hitchopt.planners.carrying.hinge import check_hinge
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import LIFT_SPEED
@@ -189,8 +190,6 @@ class Carry(Step):
         """Plan the flight along the line, or past what is in its way."""
         to = goal_of(self, task.requirements, self.object)
         straight = Candidate("straight way", partial(self._through, [to], task))
-        from hitchopt.planners.carrying.detours import CarrySearch  # heavy
-
         ways = CarrySearch(task.held, to).ways()
         beside = [Candidate("detour", partial(self._past, way, task)) for way in ways]
         return first_certified([*beside, straight], task.effort, task.progress)

@@ -5,22 +5,21 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from hitchopt.hitch import Hitch
 from hitchopt.planners.along import action_plan, end_of_step, rolling_action_plan
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action
+from hitchopt.planners.morph import actions
+from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.rests import check_at_rest
 from hitchopt.planners.routes import RouteSearch, leg_candidates
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.keys import Legs
 from hitchopt.steps.step import Step
 from hitchopt.values.fields import with_fields
-
-if TYPE_CHECKING:
-    from hitchopt.planners.morph.actions import Action
 
 
 class HitchStep(Step):
@@ -95,8 +94,6 @@ class ActionStep(ShapeStep):
 
     def action(self, task: StepTask) -> Action:
         """Return the action of the same name."""
-        from hitchopt.planners.morph import actions
-
         start = task.hitch
         polygon = self.polygon_after(start.team, start.polygon)
         values = [getattr(self, name) for name in self.action_fields]

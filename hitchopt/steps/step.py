@@ -20,6 +20,7 @@ from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState
 from hitchopt.planners.ends import SlackSplit
 from hitchopt.planners.task import StepPlan, StepTask, slowed_to_duration
+from hitchopt.planners.timing.timed_motion import check_duration
 from hitchopt.steps.keys import slack_split
 from hitchopt.steps.knob import PLAN_DURATION, Edits, Knob, scaled_outline_edit
 from hitchopt.values import Array
@@ -193,8 +194,6 @@ class Step(Record, ABC):
 
         Their laws are slowed down, not their curves: legs tilt with the object's acceleration.
         """
-        from hitchopt.planners.timing.timed_motion import check_duration
-
         duration = self.prescribed_duration
         if duration is not None:
             fastest = sum(move.law.duration for move in moves)

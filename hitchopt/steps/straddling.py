@@ -14,6 +14,7 @@ from hitchopt.hitch import Team
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.hinge import EDGE, clasp_height
 from hitchopt.planners.carrying.planner import check_pull, tying_tension
+from hitchopt.planners.straddling import tied_around, untied
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.keys import ObjectOf, Seconds
 from hitchopt.steps.knob import ALTITUDE_CHECKS, Knob
@@ -92,8 +93,6 @@ class Tie(Step):
 
     def plan_to_grip(self, task: StepTask, tension: Array) -> StepPlan:
         """Plan how cables grip the object with tensions (n,) [N]."""
-        from hitchopt.planners.straddling import tied_around  # heavy
-
         team = task.before.team
         body = task.requirements.objects[self.around]
         check_rollable(f"step {task.index} ({self.name})", team)
@@ -152,7 +151,5 @@ class Untie(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to untie the cables until they hang."""
-        from hitchopt.planners.straddling import untied  # heavy
-
         plan = untied(task)
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)

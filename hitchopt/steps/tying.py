@@ -17,6 +17,8 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, Assignment
 from hitchopt.planners.candidates import first_certified
 from hitchopt.planners.forming import SwapSettings
+from hitchopt.planners.forming.approach import assign_robots
+from hitchopt.planners.forming.laying import levels_of
 from hitchopt.planners.rests import check_at_rest
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence
 from hitchopt.planners.tying import (
@@ -134,8 +136,6 @@ class Form(Step):
 
     def _levels(self, team: Team) -> Indices | None:
         """Return the levels (n,) of cables that are laid; None if swaps tie them."""
-        from hitchopt.planners.forming.laying import levels_of
-
         if self.by != "laying":
             return None
         order = self.stated_order
@@ -147,8 +147,6 @@ class Form(Step):
         Among unequal cables it is the first one with which the hitch holds at rest: if short
         flights leave some cables too little slack, or others too much, slack is to be more even.
         """
-        from hitchopt.planners.forming.approach import assign_robots
-
         if self.by == "laying" or np.ptp(team.cable_length) == 0.0:
             return assign_robots(team, drones, self.outline, requirements.limits.leg)
         goal = partial(self._goal, levels=None, requirements=requirements)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg.lapack import dgbsv
 
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.piecewise import PiecewisePolynomial
@@ -89,6 +88,8 @@ def interpolated(
         (1, 2) at rest, (2, 3) straight, (3, 4) for a natural spline. Without them the highest
         derivative is continuous at as many of the inner points next to each end.
     """
+    from scipy.linalg.lapack import dgbsv
+
     knots = knots_through(s, degree, zero_orders)
     basis = breaks, columns, maps = extraction(knots, degree)
     piece = np.searchsorted(breaks[1:-1], s, side="right")

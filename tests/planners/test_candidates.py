@@ -180,10 +180,8 @@ MORPH = {
         (FORM, "hitchopt.planners.forming.prehitch._ellipses"),
         (FORM, "hitchopt.planners.tying.rest_plan"),
         (FORM, "hitchopt.planners.forming.approach.straight_stages"),
-        (MORPH, "hitchopt.planners.morph.morph.straight_path"),
-        pytest.param(
-            MORPH, "hitchopt.planners.timing.timed_motion.motion_along", marks=pytest.mark.slow
-        ),
+        (MORPH, "hitchopt.planners.along.straight_path"),
+        pytest.param(MORPH, "hitchopt.planners.along.motion_along", marks=pytest.mark.slow),
     ],
 )
 def test_records_that_planners_build_from_bad_values_leave_the_file_valid(
@@ -231,7 +229,7 @@ def test_laying_is_a_candidate_of_forms(monkeypatch: pytest.MonkeyPatch) -> None
     form = {"polygon": TRIANGLE, "altitude": 1.5, "by": "laying"}
     laid = {**FORM, "mission": [{"form": form}]}
     fault = partial(failing, HitchoptError("no offset was found"))
-    monkeypatch.setattr("hitchopt.planners.forming.laying.find_laying", lambda *_: fault())
+    monkeypatch.setattr("hitchopt.planners.tying.find_laying", lambda *_: fault())
     with pytest.raises(PlannerError, match="no offset was found"):
         ho.solve(ho.problem_from_dict(laid))
 

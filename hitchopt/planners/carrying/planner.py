@@ -28,6 +28,7 @@ from hitchopt.planners.carrying.holds import GripHold, HoldingHitch
 from hitchopt.planners.carrying.moves import MAX_STEP_SLOPE, Move, SmoothLaw
 from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.planners.forming.circles import spread_hitch
+from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.values import Array
 
 LIFT_SPEED = 0.4
@@ -366,8 +367,6 @@ class MovePlanner:
         if no slowing satisfies them. That of checks is not: for a move that violates one, or that
         the hold cannot carry, it is SLOWING_FACTOR.
         """
-        from hitchopt.planners.timing.stretch import needed_stretch
-
         try:
             motion = self.motion([move])
             factor = needed_stretch(motion)

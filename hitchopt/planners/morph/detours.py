@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import EAST, left_of, length, unit
@@ -353,6 +352,8 @@ class DetourSearch:
 
         It is zero at both ends.
         """
+        from scipy.sparse import csc_array
+
         knots = np.concatenate(
             [np.zeros(DEGREE), np.linspace(0.0, 1.0, PIECES + 1), np.ones(DEGREE)]
         )
@@ -365,9 +366,9 @@ class DetourSearch:
         bounds = np.full(count, FAR)
         bounds[[0, -1]] = 0.0
         program = QuadraticProgram(
-            P=sp.csc_array(hessian),
+            P=csc_array(hessian),
             q=np.zeros(count),
-            A=sp.csc_array(jets[1:-1, :, 0]),
+            A=csc_array(jets[1:-1, :, 0]),
             lower=np.maximum(lower[1:-1], -FAR),
             upper=np.minimum(upper[1:-1], FAR),
             x_min=-bounds,

@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import dot, length
@@ -561,6 +560,8 @@ def fastest_rate(program: RateProgram, guess: Array) -> Array:
     is linear in the number of rows. All iterates are strictly feasible, and the last one is
     returned. A guess that is not strictly feasible is returned unchanged.
     """
+    from scipy.linalg.lapack import dpbtrs
+
     point = program.at(guess)
     if point is None:
         return guess
@@ -624,6 +625,8 @@ class NewtonSystem(NamedTuple):
 
 def _newton_system(program: RateProgram, point: RatePoint, dual: Array) -> NewtonSystem:
     """Return Newton's equations; an indefinite matrix is replaced by that of convex parts."""
+    from scipy.linalg.lapack import dpbtrf
+
     rows = program.rows
     shape = rows.c.shape
     size = rows.c.size
