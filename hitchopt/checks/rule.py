@@ -95,6 +95,10 @@ class WorstOverSpans(Generic[S]):
     size: float | Callable[[Motion], float] = 1.0
     item_limits: Callable[[Motion], Array] | None = None
 
+    def shares(self, spans: S, limit: float) -> Array:
+        """Return the largest values on spans (spans,) over the limit."""
+        return self.formula(spans).value / (limit if self.item_limits is None else 1.0)
+
     def __call__(self, motion: Motion, limit: float) -> WorstCase:
         """Return the worst value of a motion."""
         limits = None if self.item_limits is None else self.item_limits(motion)

@@ -16,16 +16,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.clasps import spare_forces
-from hitchopt.checks.drones import Drones, Hovering, thrust_share, tilt, turning_rate
+from hitchopt.checks.drones import LIMITS, Drones, Hovering, thrust_share, tilt
 from hitchopt.checks.grips import spare_friction, turning_reach
 from hitchopt.checks.objects import heading_error, moving_objects
-from hitchopt.checks.rule import FlightReport, WorstCase
+from hitchopt.checks.rule import CheckRule, FlightReport, WorstCase, WorstOverSpans
 from hitchopt.checks.spans import (
     MotionSpans,
     derivative,
@@ -193,18 +194,22 @@ class DronesOnClock(OnClock, Drones):
     """Spans of drones on clocks: derivatives are by time, the rest is as in the checks."""
 
     @lazy
-    def _accelerations_and_jerks(self) -> tuple[Enclosed, Enclosed]:
-        """Accelerations [m/s²] and jerks [m/s³]."""
+    def _motion_rates(self) -> tuple[Enclosed, Enclosed, Enclosed]:
+        """Velocities [m/s], accelerations [m/s²] and jerks [m/s³]."""
         rate, slope, curvature = self.clock
         velocity, acceleration, jerk = (
             self.derivative(self.source.drones, order) for order in (1, 2, 3)
         )
         jerk_on_clock = rate * rate * rate * jerk + rate * slope * 3.0 * acceleration
-        return self.accelerated(velocity, acceleration), jerk_on_clock + curvature * velocity
+        return (
+            rate * velocity,
+            self.accelerated(velocity, acceleration),
+            jerk_on_clock + curvature * velocity,
+        )
 
     def motion_rate(self, order: int) -> Enclosed:
-        """Return the acceleration or the jerk."""
-        return self._accelerations_and_jerks[order - 2]
+        """Return a time derivative of the position, up to the third."""
+        return self._motion_rates[order - 1] if order else super().motion_rate(0)
 
     def by_time(self, rate: Enclosed) -> Enclosed:
         """Return a time derivative, from that with respect to the plan's time."""
@@ -304,16 +309,36 @@ class ClockLimits:
         return np.asarray(np.any(inside, axis=1))
 
 
+BOUNDED_BY_NORMS = frozenset({"acceleration", "jerk", "thrust", "tilt"})
+"""Limits that norms of derivatives of the path may prove."""
+
+OTHERS = tuple(
+    rule for rule in LIMITS if rule.derivative >= 2 and rule.name not in BOUNDED_BY_NORMS
+)
+"""Other limits of drones that a clock may break; rates of at most 1 keep those of speeds."""
+
+
+def _shares_of(rule: CheckRule, motion: Motion) -> list[Callable[[Drones], Array]]:
+    """Return the functions of spans that return fractions of a limit; none without a limit."""
+    limit = rule.limit_of(motion)
+    formulas = (each.evaluate for each in rule.evaluators)
+    return [
+        partial(formula.shares, limit=limit)
+        for formula in formulas
+        if limit is not None and isinstance(formula, WorstOverSpans)
+    ]
+
+
 def _limit_of_drones(motion: Motion) -> ClockLimit:
     """Return the limits of a motion's drones."""
     limits = motion.requirements.limits
-    body_rate = limits.body_rate
+    others = [share for rule in OTHERS for share in _shares_of(rule, motion)]
     spare = _spare_acceleration(motion)
 
     def norms_suffice(
         sizes: Array, piece: Indices, rate: Array, slope: Array, curvature: Array
     ) -> Flags:
-        if body_rate is not None:  # norms do not bound turning rates tightly
+        if others:
             return np.zeros(sizes.shape[1:], dtype=np.bool_)
         velocity, acceleration, jerk = sizes
         on_clock = rate * rate * acceleration + slope * velocity
@@ -328,9 +353,8 @@ def _limit_of_drones(motion: Motion) -> ClockLimit:
         acceleration = spans.motion_rate(2).norm_upper.value
         jerk = spans.motion_rate(3).norm_upper.value
         shares = [acceleration / limits.acceleration, jerk / limits.jerk]
-        if body_rate is not None:
-            shares.append(turning_rate(spans).value / math.degrees(body_rate))
-        if body_rate is not None or not np.all(acceleration <= spare[spans.piece, spans.item]):
+        shares += [share(spans) for share in others]
+        if others or not np.all(acceleration <= spare[spans.piece, spans.item]):
             shares += [thrust_share(spans).value, tilt(spans).value / math.degrees(limits.tilt)]
         return np.asarray(np.max(shares, axis=0))
 

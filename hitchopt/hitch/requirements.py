@@ -128,6 +128,15 @@ class Limits(OneLine):
             jerk=self.reserve * self.jerk,
         )
 
+    def of_clocks(self, thrust_per_mass: float) -> Limits:
+        """Return the limits of clocks, which bound jerks in place of turning rates.
+
+        A thrust turns by about the jerk over ``thrust_per_mass``, the smallest one [m/s²].
+        """
+        if self.body_rate is None:
+            return self
+        return with_fields(self, jerk=min(self.jerk, self.body_rate * thrust_per_mass))
+
 
 class UnstatedAxis(float):
     """A default semi-axis [m], also in copies: drones' models with larger ones replace it."""

@@ -43,7 +43,7 @@ from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, check_instance, finite, integer, nonnegative, points
-from hitchopt.values.fields import suggest_keywords, with_fields
+from hitchopt.values.fields import suggest_keywords
 
 # Minimum part of a piece of the current plan that is flown [s]: derivatives of shorter pieces have
 # rounding errors
@@ -171,11 +171,7 @@ class Replanner(OneLine):
         self.requirements = replace(motion.requirements, **specified).flown_by(flown)
         self.motion = replace(motion, requirements=self.requirements)
         self._goal = goal
-        limits = self.requirements.with_reserve.limits
-        if limits.body_rate is not None:
-            jerk_of_hovering = GRAVITY * limits.body_rate  # turns a hovering drone at this rate
-            limits = with_fields(limits, jerk=min(limits.jerk, jerk_of_hovering))
-        self._limits = limits
+        self._limits = self.requirements.with_reserve.limits.of_clocks(GRAVITY)
         self._certificate = certify(self.motion, reports=())
         with suppress(InfeasibleError):  # load the solver before the first goal
             self._end(self._goal.polygon, self._goal.altitude)

@@ -17,6 +17,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import load_problem
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.path import Path
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
 from hitchopt.planners.timing.profile import (
@@ -27,7 +28,7 @@ from hitchopt.planners.timing.profile import (
     path_grid,
 )
 from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
-from hitchopt.planners.timing.stretch import needed_stretch, turning_stretch
+from hitchopt.planners.timing.stretch import further_stretch, needed_stretch
 from hitchopt.planners.timing.timed_motion import (
     MAX_PEAK,
     TIMING_GRID,
@@ -248,11 +249,13 @@ def test_the_stretch_of_a_known_turn_is_exact() -> None:
     """A level drone with jerk j turns by j / g: slowed by κ, by j / (g κ³)."""
     coefficients = np.zeros((1, 1, 3, 4))
     coefficients[0, 0, 0, 3] = 30.0 * 0.01**3 / 6.0
-    part = (PiecewisePolynomial(np.array([0.0, 0.01]), coefficients),)
-    found = turning_stretch(Swarm(1), 0.5, part)
+    part = PiecewisePolynomial(np.array([0.0, 0.01]), coefficients)
+    limited = Requirements(ho.Limits(body_rate=0.5))
+    turn = Motion.single(Swarm(1), limited, part, ())
+    found = further_stretch(turn)
     assert found == pytest.approx((30.0 / GRAVITY / 0.5) ** (1 / 3), rel=2e-3)
-    assert turning_stretch(Swarm(1), 0.5, part, 7.0) == 7.0
-    assert turning_stretch(Swarm(1), None, part, 1.5) == 1.5
+    assert further_stretch(turn, 7.0) == 7.0
+    assert further_stretch(Motion.single(Swarm(1), Requirements(), part, ()), 1.5) == 1.5
 
 
 def test_a_flight_with_the_needed_stretch_just_keeps_its_limit() -> None:

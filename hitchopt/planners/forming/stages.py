@@ -16,12 +16,11 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary, bounded_radius
 from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.morph.morph import POSITION_TOLERANCE
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.planners.timing.stretch import turning_stretch
+from hitchopt.planners.timing.stretch import further_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import joined
 from hitchopt.values import Array
@@ -66,7 +65,7 @@ def stage(
     """Return the motion of drones from rest to rest, as one phase of forming or releasing.
 
     The state GROUND becomes FREE if all cables are clear of the ground. The motion is slowed down
-    to the limit of the body rate.
+    to the limits that no clock bounds, as of body rates.
 
     Parameters
     ----------
@@ -80,16 +79,7 @@ def stage(
     motion = Motion.single(team, requirements, drones, [phase]).replaced(**curves)
     if state is CableState.GROUND and above_ground(motion):
         motion = replace(motion, phases=(replace(phase, state=CableState.FREE),))
-    limit = requirements.limits.body_rate
-    if limit is None:
-        return motion
-    parts = (
-        drones,
-        motion.pull_points,
-        PiecewisePolynomial(drones.breaks, leg_tensions(motion)),
-        PiecewisePolynomial(drones.breaks, tautness(motion)),
-    )
-    factor = turning_stretch(team, limit, parts)
+    factor = further_stretch(motion)
     return motion.slowed(factor) if 1.0 < factor < math.inf else motion
 
 

@@ -18,7 +18,7 @@ from hitchopt.hitch.pairs import FIXED
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.separation.task import SeparationTask, Setting
 from hitchopt.planners.timing.profile import LIMIT_SHARE
-from hitchopt.planners.timing.stretch import turning_stretch
+from hitchopt.planners.timing.stretch import further_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array
@@ -109,18 +109,21 @@ def _shortest_duration(setting: Setting, curves: PiecewisePolynomial) -> float:
         over_cap = PiecewisePolynomial(curves.breaks, curves.coefficients / cap[:, None, None])
         largest = max(largest_rate(over_cap, order).worst, 0.0)
         durations.append(float(np.power(largest, 1.0 / order)))
-    body_rate = setting.task.requirements.limits.body_rate
-    swarm = Swarm(setting.task.drones)
-    return turning_stretch(swarm, body_rate, (curves,), STRETCH * max(durations))
+    return further_stretch(_swarm_motion(setting.task, curves), STRETCH * max(durations))
 
 
 CHECKED_RULES = distances_of("drones", *FIXED)
 """The certificate's rules that do not depend on the duration."""
 
 
+def _swarm_motion(task: SeparationTask, curves: PiecewisePolynomial) -> Motion:
+    """Return curves as the motion of a swarm."""
+    return Motion.single(Swarm(task.drones), task.requirements, curves, ())
+
+
 def checks_of(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
     """Return the checks of CHECKED_RULES and of tethers, with the task's names."""
-    motion = Motion.single(Swarm(task.drones), task.requirements, curves, ())
+    motion = _swarm_motion(task, curves)
     checks = [rule.check(motion) for rule in CHECKED_RULES]
     if task.tethers:
         checks.append(_tether_check(task, curves))

@@ -45,9 +45,8 @@ def retimed(setting: Setting, curves: PiecewisePolynomial) -> PiecewisePolynomia
 
 
 def _clocked_limits(setting: Setting) -> Limits:
-    """Return the limits of all drones' clock; the body rate is about the jerk over gravity."""
-    limits = setting.task.requirements.limits
+    """Return the limits of all drones' clock."""
     _, acceleration, jerk = np.min(setting.caps, axis=1)
-    if limits.body_rate is not None:
-        jerk = min(jerk, limits.body_rate * GRAVITY)
-    return with_fields(limits, acceleration=float(acceleration), jerk=float(jerk))
+    limits = setting.task.requirements.limits
+    capped = with_fields(limits, acceleration=float(acceleration), jerk=float(jerk))
+    return capped.of_clocks(GRAVITY)

@@ -1,32 +1,42 @@
 """Stretches in time with which motions keep their limits, between samples too.
 
-Rates are enclosed, not sampled: a vector polynomial is in the convex hull of its coefficients,
-which are close to it on a short span of time.
+Of the limits of which clocks and programs have rows, rates are enclosed, not sampled: a vector
+polynomial is in the convex hull of its coefficients, which are close to it on a short span of time.
+Every other limit that slower motion keeps is evaluated by the formula of its record, so that a new
+record is planned for without a line here. What slower motion does not keep is not here: distances.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.geometry.vectors import column_lengths, dot, length
+from hitchopt.checks.registry import RULES
+from hitchopt.checks.rule import CheckRule
+from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.hitch import Team
-from hitchopt.hitch.forces import cable_force_rates, cable_forces
+from hitchopt.hitch.forces import cable_forces
 from hitchopt.hitch.requirements import Limits
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.timing.profile import (
     FINAL_SHARE,
-    LIMIT_SHARE,
     Demands,
     loads_at_rest,
     spare_accelerations,
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, Indices
+
+IN_ROWS = frozenset({"speed", "acceleration", "jerk", "vertex_speed"})
+"""Limits of which clocks and programs have rows."""
+
+SLOWED = tuple(rule for rule in RULES if rule.ease == "time" and rule.name not in IN_ROWS)
+"""Further limits that slower motion keeps."""
 
 SPANS = 8
 """Number of spans of a piece. They enclose rates to within about 0.1 %."""
@@ -68,9 +78,37 @@ def needed_stretch(motion: Motion) -> float:
         loads = loads_at_rest(team, forces)
         demands = Demands(jets, no_vertices, loads, team, limits, FINAL_SHARE)
         factor = max(factor, float(np.max(demands.stretches())))
-    taut = PiecewisePolynomial.constant(drones.breaks, np.ones(team.robots))
-    curves = (drones, motion.pull_points, motion.pulls, taut)
-    return turning_stretch(team, limits.body_rate, curves, factor)
+    return further_stretch(motion, factor)
+
+
+def further_stretch(motion: Motion, smallest: float = 1.0) -> float:
+    """Return the stretch in time, at least ``smallest``, with which a motion keeps ``SLOWED``.
+
+    It is infinite if the search fails.
+    """
+    factor = smallest
+    for rule in SLOWED:
+        if rule.limit_of(motion) is not None:
+            factor = _stretch_by_record(motion, rule, factor)
+    return factor
+
+
+def _stretch_by_record(motion: Motion, rule: CheckRule, smallest: float) -> float:
+    """Return the stretch in time, at least ``smallest``, with which a motion keeps a limit.
+
+    A quantity of the k-th time derivative decreases with at most the k-th power of the stretch, so
+    that the search approaches the answer from below.
+    """
+    factor = smallest
+    while math.isfinite(factor):
+        with rough_bounds():
+            check = rule.check(motion.slowed(factor))
+        if check is None or check.worst <= FINAL_SHARE * check.number:
+            break
+        excess = check.worst / (FINAL_SHARE * check.number)
+        step = (1.0 + STRETCH_TOLERANCE) * math.pow(excess, 1.0 / rule.derivative)
+        factor = factor * step if factor < MAX_STRETCH else math.inf
+    return factor
 
 
 def jerk_peaks(motion: Motion, limits: Limits) -> Array:
@@ -148,56 +186,6 @@ def _at_breaks(part: PiecewisePolynomial) -> Array:
     """Return the values (pieces + 1, *shape) at the breakpoints."""
     coefficients = part.coefficients
     return np.concatenate([coefficients[..., 0], coefficients[-1:, ..., -1]])
-
-
-def turning_stretch(
-    team: Team, limit: float | None, curves: Sequence[PiecewisePolynomial], smallest: float = 1.0
-) -> float:
-    """Return the stretch in time, at least ``smallest``, with which body rates keep their limit.
-
-    With a stretch κ a thrust ``m a + l`` (l holds weight and cable force) becomes ``m a / κ² + l``
-    and its derivative ``m j / κ³ + l̇ / κ``: the turning rate decreases with at most κ³. The stretch
-    is infinite if the search fails.
-
-    Parameters
-    ----------
-    limit: of the body rate [rad/s]; None for no limit.
-    curves: drones (2n, 3) [m], their points (2n, 3) [m], pulls (2n,) [N] and tautness (n,), the
-        arguments of ``cable_forces``, on common breaks; for single drones only the first.
-    """
-    if limit is None:
-        return smallest
-    factor = smallest
-    pieces = np.arange(curves[0].pieces)
-    while math.isfinite(factor):
-        rate = max(_turning_rate(team, curves, chunk, factor) for chunk in _chunks(team, pieces))
-        if rate <= LIMIT_SHARE * limit:
-            break
-        step = (1.0 + STRETCH_TOLERANCE) * (rate / (LIMIT_SHARE * limit)) ** (1.0 / 3.0)
-        factor = factor * step if factor < MAX_STRETCH else math.inf
-    return factor
-
-
-def _turning_rate(
-    team: Team, curves: Sequence[PiecewisePolynomial], pieces: Indices, stretch: float
-) -> float:
-    """Return the largest turning rate [rad/s] of thrusts on pieces of a stretched flight."""
-    acceleration = _on_spans(curves[0], pieces, 2)
-    jerk = _on_spans(curves[0], pieces, 3)
-    forces = np.zeros_like(acceleration)
-    force_rates = np.zeros_like(acceleration)
-    if team.has_cables:
-        values = tuple(_on_spans(curve, pieces) for curve in curves)
-        rates = tuple(_on_spans(curve, pieces, 1) for curve in curves)
-        forces = cable_forces(team, *values)
-        force_rates = cable_force_rates(team, values, rates)
-    mass = team.mass[:, None]
-    thrust = mass * acceleration / stretch**2 + loads_at_rest(team, forces)
-    thrust_rate = mass * jerk / stretch**3 - force_rates / stretch
-    squared = dot(thrust, thrust)
-    if not np.all(squared > 0.0):
-        return math.inf
-    return float(np.max(length(np.cross(thrust, thrust_rate)) / squared))
 
 
 def _chunks(team: Team, pieces: Indices) -> Iterator[Indices]:

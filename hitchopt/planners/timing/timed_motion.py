@@ -31,7 +31,6 @@ from hitchopt.planners.timing.stretch import by_piece, jerk_peaks, needed_stretc
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import divided
 from hitchopt.values import Array
-from hitchopt.values.fields import with_fields
 
 
 def in_duration(motion: Motion, duration: float) -> Motion:
@@ -169,16 +168,10 @@ def stated_motion(path: Path, duration: float, requirements: Requirements) -> Cl
 
 
 def clocked_limits(path: FlatPath, requirements: Requirements) -> Limits:
-    """Return the limits of motion of the clock, which bounds body rates by the jerk.
-
-    The body rate is about the jerk over the thrust per mass.
-    """
-    limits = requirements.limits
-    if limits.body_rate is None:
-        return limits
-    demands = demands_along(path, limits, TIMING_GRID)
+    """Return the limits of motion of the clock, with the smallest thrust on the path at rest."""
+    demands = demands_along(path, requirements.limits, TIMING_GRID)
     smallest = float(np.min(length(demands.loads) / path.team.mass))
-    return with_fields(limits, jerk=min(limits.jerk, limits.body_rate * smallest))
+    return requirements.limits.of_clocks(smallest)
 
 
 def within_limits(motion: Motion, duration: float | None = None) -> Motion:
