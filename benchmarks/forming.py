@@ -25,6 +25,7 @@ from benchmarks.measuring import (
     parser,
     timed,
 )
+from hitchopt.errors import AT_END
 
 LIMITATIONS = (
     f"one machine, one run each; processor time with the certificate's; {CLEARANCE_NOTE}; of the "
@@ -70,7 +71,7 @@ def irregular(rng: np.random.Generator) -> str:
         ho.form(team, q, r, polygon, altitude, assign="fixed" if fixed else "auto")
     except ho.InfeasibleError as error:
         first = error.violations[0]
-        at_rest = "end of step" in first.when or first.constraint == "legs"
+        at_rest = first.when == AT_END or first.constraint == "legs"
         return "its goal breaks a limit at rest" if at_rest else f"refused: {first.constraint}"
     return "formed"
 

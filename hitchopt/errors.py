@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from enum import StrEnum
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -271,6 +272,33 @@ def optional_module(module: str, purpose: str, extra: str) -> Any:
         raise UnsupportedError(f"{reason}; pip install 'hitchopt[{extra}]'") from None
 
 
+AT_END = "at the end"
+"""The end of a step, in ``Violation.when``."""
+
+
+class StepPlace(NamedTuple):
+    """A step of a mission, or a phase of it."""
+
+    step: int
+    """Index of the step."""
+
+    name: str
+    """The step's name in the problem file, or what planners call the phase."""
+
+    phase: str = ""
+    """Name of the phase, if it differs from the step's."""
+
+    def __str__(self) -> str:
+        return f"{self.step} ({', '.join(filter(None, self[1:]))})"
+
+
+class Reason(StrEnum):
+    """What a search did not find."""
+
+    NO_GRIP = "no polygon grips the object"
+    NO_ROUTE = "the best route that was tried breaks a limit"
+
+
 @dataclass(frozen=True)
 class Violation(OneLine):
     """One constraint that cannot be satisfied, with its value, limit, place and time.
@@ -283,9 +311,13 @@ class Violation(OneLine):
     sense: ``min`` if the value must not be below the limit, ``max`` if not above it.
     unit: unit of both, for example ``m`` or ``ratio``.
     where: names of drones, cables or vertices.
-    when: description of the time, for example ``at t = 1.25 s of step 0 (morph)``; violations that
-        are found before the timing have no t.
+    when: description of the time, for example ``at t = 1.25 s``; violations that are found before
+        the timing have no t.
     remedy: suggested change.
+    steps: the step in which it occurs, or all steps of a flight without a stop; empty if unknown.
+    object: name of the object that it concerns, if any.
+    reason: what a search did not find, if that is why.
+    team: name of the team, if there are several.
     """
 
     constraint: str
@@ -296,10 +328,34 @@ class Violation(OneLine):
     where: tuple[str, ...]
     when: str
     remedy: str
+    steps: tuple[StepPlace, ...] = ()
+    object: str = ""
+    reason: Reason | None = None
+    team: str = ""
 
     def __str__(self) -> str:
         summary = self.constraint, self.value, self.limit, self.sense, self.unit, self.where
-        return f"{broken_limit(*summary)}{self.when and ' '}{self.when}; {self.remedy}"
+        return " ".join(filter(None, [broken_limit(*summary), self.moment])) + f"; {self.remedy}"
+
+    @property
+    def step(self) -> int | None:
+        """Index of the first step in which it occurs; None if unknown."""
+        return self.steps[0].step if self.steps else None
+
+    @property
+    def moment(self) -> str:
+        """Time and step in words, for example ``at t = 1.25 s, in step 0 (morph)``."""
+        of_team = f" of {self.team}" if self.team else ""
+        if not self.steps:
+            return f"{self.when}{of_team}".strip()
+        joint = " of " if self.when == AT_END else ", in " if self.when else "in "
+        return f"{self.when}{joint}step {' and '.join(map(str, self.steps))}{of_team}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the violation as plain values, for JSON."""
+        names = ("constraint", "value", "limit", "sense", "unit", "where", "remedy")
+        plain = {name: getattr(self, name) for name in names}
+        return plain | {"when": self.moment, "step": self.step}
 
 
 class InfeasibleError(HitchoptError):
@@ -315,32 +371,32 @@ class InfeasibleError(HitchoptError):
         lines = [str(v) for v in self.violations] + ([note] if note else [])
         super().__init__("\n".join(lines))
 
-    def at(self, when: str) -> InfeasibleError:
-        """Return the error with the same description of the time for all violations."""
-        return InfeasibleError((replace(each, when=when) for each in self.violations), self.note)
+    def at(self, when: str, **known: Any) -> InfeasibleError:
+        """Return the error with the same description of the time for all violations.
+
+        ``known`` are further fields of all violations; their steps are unknown.
+        """
+        known = {"when": when, "steps": ()} | known
+        return InfeasibleError((replace(each, **known) for each in self.violations), self.note)
 
     def of_team(self, name: str) -> InfeasibleError:
         """Return the error with a team's name before its drones; itself if the name is empty."""
         if not name:
             return self
         violations = [
-            replace(
-                each,
-                where=tuple(f"{name}.{place}" for place in each.where),
-                when=f"{each.when} of {name}".strip(),
-            )
+            replace(each, where=tuple(f"{name}.{place}" for place in each.where), team=name)
             for each in self.violations
         ]
         return InfeasibleError(violations, self.note and f"{name}: {self.note}")
 
 
 @contextmanager
-def violations_at(when: str) -> Iterator[None]:
-    """State when the violations occur that the context raises."""
+def violations_at(when: str, **known: Any) -> Iterator[None]:
+    """State when the violations occur that the context raises; ``known`` as of ``at``."""
     try:
         yield
     except InfeasibleError as error:
-        raise error.at(when) from error
+        raise error.at(when, **known) from error
 
 
 class PlannerError(HitchoptError):

@@ -179,13 +179,15 @@ class Check(OneLine):
         broken = broken_limit(self.name, self.worst, self.number, self.sense, self.unit, self.where)
         return f"{broken}, t = {self.time:.4g} s"
 
-    def violation(self, when: str, remedy: str) -> Violation:
-        """Return a check that does not hold as a violation; its remedy begins with what binds."""
+    def violation(self, when: str, remedy: str, **known: Any) -> Violation:
+        """Return a check that does not hold as a violation; its remedy begins with what binds.
+
+        ``known`` are further fields of the violation.
+        """
         if self.binding:
             remedy = f"limited by {self.binding}; {remedy}"
-        return Violation(
-            self.name, self.worst, self.number, self.sense, self.unit, self.where, when, remedy
-        )
+        summary = self.name, self.worst, self.number, self.sense, self.unit, self.where
+        return Violation(*summary, when, remedy, **known)
 
     @property
     def number(self) -> float:

@@ -12,7 +12,7 @@ from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.checks.custom import Rule
 from hitchopt.checks.registry import RULE_OF, TEAM_REPORTS
 from hitchopt.checks.rule import REPORT_IT, CheckRule, ReportRule
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, StepPlace, Violation
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 
@@ -26,22 +26,24 @@ def infeasible_error(
     flown: Motion | Flight,
     when: str = "",
     rules: Sequence[Rule[Any]] = (),
+    step: StepPlace | None = None,
 ) -> InfeasibleError:
-    """Return the error of a certificate's violations; ``when`` describes the time and step.
+    """Return the error of a certificate's violations.
 
-    ``rules`` are the custom rules in the certificate.
+    ``when`` describes the time, at which the motion is at rest, and ``step`` is its step; without,
+    both are those of each check. ``rules`` are the custom rules in the certificate.
     """
     flight = Flight.of(flown)
     violations = list[Violation]()
     for check in named_checks(certificate, flight, rules):
-        phases = _phases_at(check, flight)
-        time_and_step = when
+        time = when
+        steps: tuple[StepPlace, ...] = () if step is None else (step,)
         if not when and check.name != "duration":
-            step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
-            time_and_step = f"at t = {check.time:.4g} s{step}"
+            time = f"at t = {check.time:.4g} s"
+            steps = tuple(phase.place for phase in _phases_at(check, flight)[:1])
         own_remedy = _remedy(check, flight, rules, at_start=bool(when))
         remedy = _separation_shortfall(check, flight) + own_remedy
-        violations.append(check.violation(time_and_step, remedy))
+        violations.append(check.violation(time, remedy, steps=steps))
     return InfeasibleError(violations)
 
 

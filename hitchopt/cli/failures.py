@@ -167,5 +167,5 @@ def _entries(error: HitchoptError) -> list[dict[str, Any]]:
             for part, place in zip(parts, places, strict=True)
         ]
     if isinstance(error, InfeasibleError) and error.violations:
-        return [{"message": in_options(str(v)), **vars(v)} for v in error.violations]
+        return [{"message": in_options(str(v)), **v.to_dict()} for v in error.violations]
     return [{"message": in_options(str(error))}]

@@ -223,7 +223,7 @@ def diagnosis_content(
         "format": DIAGNOSIS_FORMAT,
         "feasible": False,
         "message": str(reason),
-        "violations": [{**vars(v), "message": str(v)} for v in violations],
+        "violations": [{**v.to_dict(), "message": str(v)} for v in violations],
         "suggestions": [*suggestions],
     }
 

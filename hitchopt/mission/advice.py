@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,7 +14,12 @@ from hitchopt.checks.linking import DURATION
 from hitchopt.checks.registry import RULES
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.drones.controllers import Tube, of_same_firmware
-from hitchopt.errors import EXCHANGED, InfeasibleError, Violation
+from hitchopt.errors import (
+    EXCHANGED,
+    InfeasibleError,
+    StepPlace,
+    Violation,
+)
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.alternatives import can_be_stiffer
@@ -88,17 +92,23 @@ def with_tilt_advice(
 
 def placed_in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
     """Return the error with the step's name from the file in each violation."""
-    names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
+    of_group = tuple(StepPlace(i, step.name) for i, step in enumerate(group, first))
     violations = []
     for violation in error.violations:
-        when = violation.when
-        if len(group) == 1:  # phases of a step have other names
-            when = re.sub(rf"step {first} \(\w+\)", f"step {names}", when)
-        if f"step {first}" not in when and "end of step" not in when:
-            when = f"{when} of step {names}".strip()
+        steps = tuple(
+            _named_place(place, step)
+            for place in violation.steps
+            for i, step in enumerate(group, first)
+            if i == place.step
+        )
         remedy = _remedy(violation, "omit blend" if len(group) > 1 else "")
-        violations.append(replace(violation, when=when, remedy=remedy))
+        violations.append(replace(violation, steps=steps or of_group, remedy=remedy))
     return InfeasibleError(violations, error.note)
+
+
+def _named_place(place: StepPlace, step: Step) -> StepPlace:
+    """Return a place with the step's name from the file before that of another phase."""
+    return StepPlace(place.step, step.name, "" if place.name == step.name else place.name)
 
 
 def refusal(motion: Motion, certificate: Certificate, steps: Sequence[Step]) -> InfeasibleError:
@@ -106,7 +116,9 @@ def refusal(motion: Motion, certificate: Certificate, steps: Sequence[Step]) -> 
     error = infeasible_error(certificate, motion)
     named = named_checks(certificate, Flight.of(motion))
     violations = []
-    for violation, check in zip(error.violations, named, strict=True):
+    for unnamed, check in zip(error.violations, named, strict=True):
+        places = tuple(_named_place(place, steps[place.step]) for place in unnamed.steps)
+        violation = replace(unnamed, steps=places)
         indices = [p.step for p in motion.phases if p.start <= check.time <= p.end]
         neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
         is_blended = any(step.blends for step in neighbours)

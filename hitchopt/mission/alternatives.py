@@ -13,7 +13,12 @@ from typing import Any
 import numpy as np
 
 from hitchopt.drones.controllers import MIN_TRACKING, Gains, Tube, of_same_firmware, stiffest_gains
-from hitchopt.errors import InputError, UnitWarning, Violation
+from hitchopt.errors import (
+    InputError,
+    Reason,
+    UnitWarning,
+    Violation,
+)
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
 from hitchopt.mission.changes import Change, in_step, quadrotor_keys, with_edits
@@ -127,7 +132,7 @@ def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[C
     Three or more robots rest objects with rims on their cables; two grip every object.
     """
     for name, body in problem.objects.items():
-        ungripped = any(v.when.startswith(f"around objects.{name} ") for v in violations)
+        ungripped = any(v.object == name and v.reason is Reason.NO_GRIP for v in violations)
         if problem.team.robots == 2 or not ungripped:
             continue
         wider = body.section.widened(RIM_OVERHANG)

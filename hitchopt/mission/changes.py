@@ -186,12 +186,6 @@ def constraint_name(violation: Violation) -> str:
     return PLAN_DURATION if is_plan_duration else violation.constraint
 
 
-def step_of(violation: Violation) -> int:
-    """Return the index of the first step that a violation's time names; -1 without any."""
-    step = re.search(r"step (\d+)", violation.when)
-    return int(step[1]) if step else -1
-
-
 def in_step(problem: Problem, i: int, edits: Edits) -> Edits:
     """Return edits of step i with their paths in the file."""
     name = problem.mission[i].name

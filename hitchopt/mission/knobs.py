@@ -14,7 +14,7 @@ from hitchopt.checks.registry import RULE_OF_KEY, distances_of
 from hitchopt.errors import Violation
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Limits
-from hitchopt.mission.changes import constraint_name, in_step, quadrotor_keys, step_of
+from hitchopt.mission.changes import constraint_name, in_step, quadrotor_keys
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.steps.knob import (
     DECIMALS,
@@ -98,7 +98,7 @@ def _step_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     """Yield the knobs of all steps."""
     names = _names(violations)
     for i, step in enumerate(problem.mission):
-        slowdown = _min_size((v for v in violations if step_of(v) == i), "duration")
+        slowdown = _min_size((v for v in violations if v.step == i), "duration")
         for knob in step.knobs():
 
             def make_edits(new: float, i: int = i, knob: Knob = knob) -> Edits:
@@ -240,7 +240,7 @@ def _object_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator
     holding = GRIP_CHECKS | LOAD_CHECKS
     covers = holding | FORCE_CHECKS | DISTANCE_CHECKS | {"equilibrium", "keep_out"}
     for name, body in problem.objects.items():
-        mentions = (f"objects.{name}" in v.when or name in v.where for v in violations)
+        mentions = (v.object == name or name in v.where for v in violations)
         if body.fixed or not any(mentions):
             continue
         min_size = round(1.0 - mass_share, 9)

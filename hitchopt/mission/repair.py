@@ -19,6 +19,7 @@ from hitchopt.errors import (
     InfeasibleError,
     OneLine,
     Progress,
+    Reason,
     UnitWarning,
     contained,
     time_left,
@@ -37,7 +38,6 @@ from hitchopt.mission.knobs import SPACE_CHECKS, knobs_of
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED
 from hitchopt.mission.trials import Trial, faults_of
-from hitchopt.planners.optimised_route import BEST_ROUTE
 from hitchopt.steps.knob import Knob
 from hitchopt.values import known
 
@@ -219,7 +219,7 @@ class _Search:
                 return (Suggestion.of(in_units),)
         knobs = [x for x in knobs_of(problem, violations) if may_add or x.key in changed]
         sufficient = [knob for knob in knobs if self._broken <= knob.covers]
-        if any(BEST_ROUTE in violation.when for violation in violations):
+        if any(violation.reason is Reason.NO_ROUTE for violation in violations):
             return _smallest(self._rerouted(sufficient))
         suggestions = list[Suggestion]()
         if may_add:

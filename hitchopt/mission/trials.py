@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.errors import HitchoptError, InfeasibleError, TimeIsUp, TimeLimitError, time_limit
-from hitchopt.mission.changes import Change, broken_constraints, constraint_name, step_of
+from hitchopt.mission.changes import Change, broken_constraints, constraint_name
 from hitchopt.mission.solving import solve_problem
 from hitchopt.planners.candidates import outcome
 
@@ -28,8 +28,11 @@ class Fault(NamedTuple):
     """The limit."""
 
 
+UNKNOWN_STEP = -1
+"""Index in place of an unknown step, before all others."""
+
 Faults = Mapping[tuple[str, int], Fault]
-"""Faults by constraint and step; the step is -1 if it is unknown."""
+"""Faults by constraint and step."""
 
 
 def faults_of(error: InfeasibleError) -> Faults:
@@ -37,14 +40,15 @@ def faults_of(error: InfeasibleError) -> Faults:
     faults = dict[tuple[str, int], Fault]()
     for violation in error.violations:
         value = -violation.value if violation.sense == "max" else violation.value
-        place = constraint_name(violation), step_of(violation)
+        step = UNKNOWN_STEP if violation.step is None else violation.step
+        place = constraint_name(violation), step
         faults.setdefault(place, Fault(value, violation.limit))
     return faults
 
 
 def _first_step(faults: Faults) -> int:
     """Return the earliest step with a fault."""
-    return min((step for _, step in faults), default=-1)
+    return min((step for _, step in faults), default=UNKNOWN_STEP)
 
 
 @dataclass(frozen=True, eq=False)

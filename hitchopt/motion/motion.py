@@ -11,7 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import InputError, OneLine
+from hitchopt.errors import (
+    InputError,
+    OneLine,
+    StepPlace,
+)
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
@@ -137,6 +141,11 @@ class Phase(OneLine):
     def formed(self) -> bool:
         """Return whether the hitch exists."""
         return self.state in HITCHED_STATE
+
+    @property
+    def place(self) -> StepPlace:
+        """Its step, in violations."""
+        return StepPlace(self.step, self.name)
 
     def retimed(self, start: float, end: float) -> Phase:
         """Return the phase with another start and end [s]."""

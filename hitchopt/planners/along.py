@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hitchopt.errors import AT_END
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
@@ -33,11 +34,6 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 P = TypeVar("P", bound="Translatable")
-
-
-def end_of_step(phase: Phase) -> str:
-    """Return the words for the end of a phase's step in errors."""
-    return f"at the end of step {phase.step} ({phase.name})"
 
 
 def plan_along(
@@ -128,7 +124,7 @@ def rigid_plan(
     """
     requirements = task.requirements
     end = end_of_transport(task.hitch, to, yaw)
-    check_at_rest(end, requirements, end_of_step(phase))
+    check_at_rest(end, requirements, AT_END, phase.place)
     path = RigidPath(task.hitch, to, yaw)
     if path.is_constant:
         return task.plan_ending(rest_motion(end, requirements, duration or IDLE, phase), end)

@@ -82,12 +82,9 @@ def require_lift(task: StepTask, name: str) -> None:
     mass = task.requirements.objects[name].mass
     largest = float(np.sum(team.max_thrust)) / GRAVITY - float(np.sum(team.mass))
     if mass > largest:
-        when = f"in step {task.index}"
         spare = f"at full thrust these drones lift {rounded_down(largest, 3):g} kg"
         remedy = f"lower objects.{name}.mass, or use stronger drones or more robots: {spare}"
-        raise InfeasibleError(
-            [Violation("load", mass, largest, "max", "kg", (name,), when, remedy)]
-        )
+        raise InfeasibleError([Violation("load", mass, largest, "max", "kg", (name,), "", remedy)])
 
 
 def _in_one_phase(
@@ -158,7 +155,7 @@ def _plan_around(
         remedy = f"use a taller {key} or a higher rim, or raise its support"
         where = ("ground",)
         violation = Violation(
-            "object_clearance", height, clearance, "min", "m", where, when, remedy
+            "object_clearance", height, clearance, "min", "m", where, when, remedy, object=name
         )
         raise InfeasibleError([violation])
     radius = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import AT_END, InfeasibleError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
@@ -122,7 +122,7 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     def by_law() -> End:
         """Return the hitch with the legs of the action's law."""
         hitch = Hitch(start.team, polygon, start.altitude, legs_by_law, start.roll)
-        check_at_rest(hitch, requirements, "at the end")
+        check_at_rest(hitch, requirements, AT_END)
         return End(hitch)
 
     def nearest_to_law(violation: Violation) -> End:
@@ -133,7 +133,7 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
         slides = np.abs(nearest.q_legs - legs_by_law) >= SLIDING_TOLERANCE
         q_legs = np.where(slides, nearest.q_legs, legs_by_law)
         end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
-        reason = replace(violation, when="at the end", remedy="with the action's own legs")
+        reason = replace(violation, when=AT_END, remedy="with the action's own legs")
         return End(end, str(reason))
 
     def amended(error: InfeasibleError) -> Candidate[End]:

@@ -497,8 +497,9 @@ def altitude_around(body: SolidObject, separation: Separation) -> float:
 def require_hanging(planner: MovePlanner) -> None:
     """Raise InfeasibleError if the hold breaks limits at rest, with the object off its support."""
     hold = planner.hold
-    when = f"with objects.{planner.state.object} off its support"
-    with violations_at(when):
+    name = planner.state.object
+    when = f"with objects.{name} off its support"
+    with violations_at(when, object=name):
         if isinstance(hold, RestHold):
             hold.check_unbent(planner.state.tension)
             violation = hold.rim_violation(planner.state.tension)
@@ -513,8 +514,9 @@ def require_hold(planner: MovePlanner) -> None:
     """Raise InfeasibleError if the hold breaks limits at rest, or as the hitch rises to a rim."""
     require_hanging(planner)
     if isinstance(planner.hold, RestHold):
-        when = f"as the clasps take objects.{planner.state.object}"
-        with violations_at(when):
+        name = planner.state.object
+        when = f"as the clasps take objects.{name}"
+        with violations_at(when, object=name):
             moves = [planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)]
             require_certified(_step_plan(planner.motion(moves, "lift")), when)
 
@@ -552,10 +554,11 @@ def hold_error(judge: HoldJudge, hold: HoldingHitch, error: InfeasibleError) -> 
     remedy = f"{', or '.join(remedies)}{held}".strip()
     violations = list[Violation]()
     if 0.0 < capacity.mass < mass:
-        where = (judge.name,)
-        when = error.violations[0].when
-        load = Violation("load", mass, capacity.mass, "max", "kg", where, when, remedy)
-        violations.append(load)
+        load = Violation(
+            "load", mass, capacity.mass, "max", "kg", (judge.name,), "", remedy, object=judge.name
+        )
+        first = error.violations[0]
+        violations.append(replace(load, when=first.when, steps=first.steps, reason=first.reason))
     for violation in error.violations:
         others = [remedy]
         if violation.constraint == "tilt":

@@ -7,7 +7,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from hitchopt.checks.violations import infeasible_error, named_checks
-from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.errors import (
+    HitchoptError,
+    InfeasibleError,
+    Reason,
+)
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight
@@ -26,7 +30,6 @@ if TYPE_CHECKING:
     from hitchopt.planners.optimise.knots import KnotPath
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
-BEST_ROUTE = "the best route tried"
 FASTER = "faster than the step's own route"
 
 
@@ -147,20 +150,24 @@ class OptimisedRoute:
         Raises InfeasibleError with the limits that it breaks, and where along the route.
         """
         path = self._climbing(best.path)
-        route = f"along {BEST_ROUTE} ({best.name})"
-        violation = shape_violation(path) or load_violation(path, self.task.requirements.limits)
+        route = f"along the best route tried ({best.name})"
+        limits = self.task.requirements.limits
+        violation = shape_violation(path, route) or load_violation(path, limits, route)
         if violation is not None:
-            when = violation.when.replace("of the path", route)
-            raise InfeasibleError([replace(violation, when=when)])
+            raise InfeasibleError([replace(violation, reason=Reason.NO_ROUTE)])
         plan = plan_along(self.task, path, self.end, self.phase)
         if plan.certificate.certified:
             return plan
         motion = plan.motion
-        step = f"in step {self.phase.step} ({self.phase.name})"
         unplaced = infeasible_error(plan.certificate, motion).violations
         named = named_checks(plan.certificate, Flight.of(motion))
         placed = [
-            replace(violation, when=f"at {check.time / motion.duration:.0%} {route}, {step}")
+            replace(
+                violation,
+                when=f"at {check.time / motion.duration:.0%} {route}",
+                steps=(self.phase.place,),
+                reason=Reason.NO_ROUTE,
+            )
             for violation, check in zip(unplaced, named, strict=True)
         ]
         raise InfeasibleError(placed)

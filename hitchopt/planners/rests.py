@@ -7,7 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.checks.violations import infeasible_error
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import (
+    InfeasibleError,
+    StepPlace,
+    Violation,
+)
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
@@ -40,16 +44,18 @@ def rest_plan(hitch: Hitch, requirements: Requirements) -> StepPlan:
     return StepPlan(motion, RestState(hitch.team, hitch.drones, hitch))
 
 
-def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
-    """Raise InfeasibleError if the hitch breaks a limit at rest."""
-    require_certified(rest_plan(hitch, requirements), when)
+def check_at_rest(
+    hitch: Hitch, requirements: Requirements, when: str, step: StepPlace | None = None
+) -> None:
+    """Raise InfeasibleError if the hitch breaks a limit at rest, at a time in words of a step."""
+    require_certified(rest_plan(hitch, requirements), when, step)
 
 
 def check_hover(task: StepTask, drones: Array, when: str) -> None:
     """Raise InfeasibleError if drones (2n, 3) [m] at rest on free cables break a limit."""
     state = replace(task.before, drones=drones)
     motion = hover_motion(task.within(task.requirements, state), 1.0)
-    require_certified(StepPlan(motion, state), f"{when} after step {task.index}")
+    require_certified(StepPlan(motion, state), when)
 
 
 def hover_motion(task: StepTask, duration: float) -> Motion:

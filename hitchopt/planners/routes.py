@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from hitchopt.errors import AT_END
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.motion import Phase
-from hitchopt.planners.along import end_of_step, past_obstacles, plan_along, straight_plan
+from hitchopt.planners.along import past_obstacles, plan_along, straight_plan
 from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import SlackSplit, end_of_morph
@@ -123,7 +124,7 @@ class RouteSearch:
             yield Candidate(OPTIMISED_ROUTE, self._requested_plan)
         yield Candidate(OWN_ROUTE, self._own_plan if is_requested else self.own_or_faster_plan)
         for hitch in (task.hitch, self.end):
-            check_at_rest(hitch, task.requirements, end_of_step(self.phase))
+            check_at_rest(hitch, task.requirements, AT_END, self.phase.place)
         if task.optimiser and not is_requested:
             yield Candidate(OPTIMISED_ROUTE, self.optimised_plan)
 
@@ -193,7 +194,7 @@ def leg_candidates(
     plan_with: returns the certified plan to legs.
     """
     yield Candidate("nearest legs", partial(plan_with, legs))
-    check_at_rest(task.hitch, task.requirements, end_of_step(phase))
+    check_at_rest(task.hitch, task.requirements, AT_END, phase.place)
     if legs is None:
         yield Candidate("spread legs", partial(plan_with, "spread"))
 

@@ -12,7 +12,11 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import PART_REPORTS
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.checks.violations import infeasible_error
-from hitchopt.errors import Progress, RequestError
+from hitchopt.errors import (
+    Progress,
+    RequestError,
+    StepPlace,
+)
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase, concatenated
@@ -195,7 +199,7 @@ def slowed_to_duration(motion: Motion, duration: float | None, phase: Phase) -> 
     """Return a motion slowed down to the prescribed duration of a phase's step [s], if any."""
     if duration is None:
         return motion
-    check_duration(duration, motion.duration, f"of step {phase.step} ({phase.name})")
+    check_duration(duration, motion.duration, phase.place)
     return motion.slowed(duration / motion.duration)
 
 
@@ -212,10 +216,10 @@ def plan_in_sequence(
     return StepPlan(concatenated(motions), state)
 
 
-def require_certified(plan: StepPlan, when: str = "") -> StepPlan:
-    """Return a certified plan, or raise InfeasibleError; ``when`` describes the time."""
+def require_certified(plan: StepPlan, when: str = "", step: StepPlace | None = None) -> StepPlan:
+    """Return a certified plan, or raise InfeasibleError; of a plan at rest, with time and step."""
     if not plan.certificate.certified:
-        raise infeasible_error(plan.certificate, plan.motion, when)
+        raise infeasible_error(plan.certificate, plan.motion, when, step=step)
     return plan
 
 

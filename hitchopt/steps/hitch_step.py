@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from functools import partial
 from typing import ClassVar
 
+from hitchopt.errors import AT_END
 from hitchopt.hitch import Hitch
-from hitchopt.planners.along import action_plan, end_of_step, rolling_action_plan
+from hitchopt.planners.along import action_plan, rolling_action_plan
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action
@@ -37,7 +38,7 @@ class HitchStep(Step):
 
     def check_end(self, end: Hitch, task: StepTask) -> None:
         """Raise InfeasibleError if the hitch after the step breaks a limit at rest."""
-        check_at_rest(end, task.requirements, end_of_step(self.phase(task)))
+        check_at_rest(end, task.requirements, AT_END, self.phase(task).place)
 
 
 class NonstopStep(HitchStep):

@@ -511,7 +511,7 @@ class FollowVertex(ActionStep):
         if self.speed is None:
             return self._with_legs_apart(plan_to(task, end))
         limits = task.requirements.limits
-        when = f"in step {task.index} ({self.name})"
+        steps = (self.phase(task).place,)
         if self.speed > limits.vertex_speed:
             where = (f"p{self.vertex}",)
             remedy = "lower the step's speed, or raise limits.vertex_speed"
@@ -522,8 +522,9 @@ class FollowVertex(ActionStep):
                 "max",
                 "m/s",
                 where,
-                when,
+                "",
                 remedy,
+                steps,
             )
             raise InfeasibleError([violation])
         slow = replace(task.requirements, limits=with_fields(limits, vertex_speed=self.speed))
@@ -532,7 +533,8 @@ class FollowVertex(ActionStep):
         check = VERTEX_SPEED.check(motion)
         if check is not None and not check.holds and self.is_timed:
             remedy = "allow more time for the points, omit their times, or raise the step's speed"
-            raise InfeasibleError([check.violation(f"at t = {check.time:.4g} s, {when}", remedy)])
+            when = f"at t = {check.time:.4g} s"
+            raise InfeasibleError([check.violation(when, remedy, steps=steps)])
         plan = self._with_legs_apart(plan)
         return replace(plan, motion=motion.replaced(requirements=task.requirements))
 

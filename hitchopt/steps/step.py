@@ -197,7 +197,7 @@ class Step(Record, ABC):
         duration = self.prescribed_duration
         if duration is not None:
             fastest = sum(move.law.duration for move in moves)
-            check_duration(duration, fastest, f"of step {task.index} ({self.name})")
+            check_duration(duration, fastest, self.phase(task).place)
             moves = [replace(move, law=move.law.slowed(duration / fastest)) for move in moves]
         motion = task.held.motion(moves, self.name)
         last = moves[-1]

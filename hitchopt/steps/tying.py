@@ -10,7 +10,11 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InputError, RequestError
+from hitchopt.errors import (
+    AT_END,
+    InputError,
+    RequestError,
+)
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
@@ -129,7 +133,7 @@ class Form(Step):
         team = task.before.team
         levels = self._levels(team)
         goal = self._goal(team, levels, requirements)
-        check_at_rest(goal, requirements, f"at the end of step {task.index} (form)")
+        check_at_rest(goal, requirements, AT_END, self.phase(task).place)
         plan = first_certified(tyings(task, goal, self.swap, levels), task.effort, task.progress)
         after = replace(plan.after, swap=self.swap, levels=levels)
         return plan.replaced(self.with_duration(task, plan.motion), after)

@@ -222,7 +222,7 @@ def test_the_diagnosis_of_an_infeasible_problem(tmp_path: Path) -> None:
     data = strict_json(tmp_path / "diagnosis.json")
     one, other = data["violations"]
     assert (data["format"], data["feasible"]) == ("hitchopt-diagnosis/1", False)
-    assert one == {**vars(first), "where": ["q0", "r2"], "message": str(first)}
+    assert one == {**first.to_dict(), "where": ["q0", "r2"], "message": str(first)}
     assert (other["value"], other["remedy"]) == (None, second.remedy)
 
 

@@ -13,6 +13,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify
+from hitchopt.errors import AT_END, StepPlace, Violation
 from hitchopt.mission.cache import contents
 from hitchopt.steps import Step
 from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
@@ -154,8 +155,29 @@ def test_errors_name_the_step_that_they_are_of() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"arena: .* at the end of step 1 \(transport\)"):
         ho.solve(mission(MOVES[0], transport, arena=arena))
     short = MoveVertex(0, by=np.array([-0.15, 0.03]), duration=0.1)
-    with pytest.raises(ho.InfeasibleError, match=r"duration: .* of step 1 \(move_vertex\)"):
+    in_step = r"duration: .* in step 1 \(move_vertex\)"
+    with pytest.raises(ho.InfeasibleError, match=in_step) as refused:
         ho.solve(mission(Hold(0.1), short))
+    assert refused.value.violations[0].step == 1
+
+
+def test_the_time_of_a_violation_follows_from_its_fields() -> None:
+    morph = StepPlace(2, "morph")
+    swap = StepPlace(10, "form", "swap 1")
+    plain = Violation("legs", 0.1, 0.15, "min", "m", ("q0",), "at t = 1.5 s", "lengthen")
+    assert (plain.moment, plain.step) == ("at t = 1.5 s", None)
+    moments = {
+        "at t = 1.5 s, in step 10 (form, swap 1)": replace(plain, steps=(swap,)),
+        "at the end of step 2 (morph)": replace(plain, when=AT_END, steps=(morph,)),
+        "in step 2 (morph) of a": replace(plain, when="", steps=(morph,), team="a"),
+        "at t = 1.5 s, in step 2 (morph) and 10 (form, swap 1)": replace(
+            plain, steps=(morph, swap)
+        ),
+    }
+    for moment, violation in moments.items():
+        assert violation.moment == moment
+        assert f" at q0 {moment}; lengthen" in str(violation)
+        assert violation.to_dict()["when"] == moment
 
 
 def arrays_in(value: Any) -> Iterator[np.ndarray]:

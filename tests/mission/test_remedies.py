@@ -49,9 +49,8 @@ class Advice(NamedTuple):
         if self.violation.when == AT_START:
             keys = self.data["start"]["hitch"]
             return keys
-        number = re.search(r"step (\d+)", self.violation.when)
-        assert number, self.violation
-        (keys,) = self.data["mission"][int(number[1])].values()
+        assert self.violation.step is not None, self.violation
+        (keys,) = self.data["mission"][self.violation.step].values()
         return keys
 
 

@@ -31,7 +31,7 @@ def test_missions_keep_their_rules_or_are_refused() -> None:
         ho.solve(START, [ho.Hold(1.0), ho.Morph(FAR)], rules=rules)
     (violation,) = caught.value.violations
     assert (violation.constraint, violation.limit, violation.where) == ("leg_angle", 35.0, ("p0",))
-    assert "in step 1 (morph)" in violation.when
+    assert "in step 1 (morph)" in violation.moment
     assert violation.remedy == "keep vertices apart"
 
 

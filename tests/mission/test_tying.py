@@ -144,7 +144,7 @@ def test_what_binds_is_told_with_time(q: Array, r: Array, keys: dict[str, Any], 
         forming(q, r, **keys)
     when = "step 0" if keys else "at the start (t = 0)"
     assert binds in {violation.constraint for violation in raised.value.violations}
-    assert all(when in violation.when for violation in raised.value.violations)
+    assert all(when in violation.moment for violation in raised.value.violations)
 
 
 def test_plans_go_on_from_the_end_of_one_that_has_exchanged_robots(tmp_path: Path) -> None:

@@ -259,7 +259,7 @@ def test_infeasible_points_are_refused_by_name() -> None:
         ho.solve(START, ho.FollowVertex(K, [[0.4, *(HERE + [0.2, 0.0])]]))
     fast = next(v for v in caught.value.violations if v.constraint == "vertex_speed")
     assert fast.value == pytest.approx(15.0 / 8.0 * 0.2 / 0.4, rel=1e-3)
-    assert re.fullmatch(r"at t = 0\.(199|2|201)\S* s, in step 0 \(follow_vertex\)", fast.when)
+    assert re.fullmatch(r"at t = 0\.(199|2|201)\S* s, in step 0 \(follow_vertex\)", fast.moment)
     assert fast.remedy.endswith("or allow more time for the points")
 
 

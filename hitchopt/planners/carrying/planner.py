@@ -314,8 +314,10 @@ class MovePlanner:
             motion = planner.motion([planner.move(law, end=place + distance * direction)])
             violated = first_violated(motion, RESERVE_CHECKS)
             if violated is not None:
-                when = f"with objects.{self.state.object} carried at {acceleration:.2g} m/s²"
-                raise InfeasibleError([violated.violation(when, RULE_OF[violated.name].remedy)])
+                name = self.state.object
+                when = f"with objects.{name} carried at {acceleration:.2g} m/s²"
+                remedy = RULE_OF[violated.name].remedy
+                raise InfeasibleError([violated.violation(when, remedy, object=name)])
 
     def met_at_rest(self, checks: Sequence[str]) -> list[str]:
         """Return the checks that the hold meets at rest: slower moves violate the others too."""
@@ -456,9 +458,10 @@ class MovePlanner:
             if violated is None:
                 return Passage(motion, moves)
             verb = "opens" if opens else "closes"
-            when = f"as the hitch {verb} around objects.{self.state.object}"
+            body = self.state.object
+            when = f"as the hitch {verb} around objects.{body}"
             remedy = "use lighter cables or a different cable length, or smooth the outline"
-            raise InfeasibleError([violated.violation(when, remedy)])
+            raise InfeasibleError([violated.violation(when, remedy, object=body)])
 
         shares = product(tensions_between, friction_shares)
         passages = (Candidate("passage", partial(passed, *share)) for share in shares)

@@ -17,7 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hitchopt.drones.quadrotor import Quadrotor
-from hitchopt.errors import InfeasibleError, RequestError, Violation, check_time, violations_at
+from hitchopt.errors import (
+    InfeasibleError,
+    Reason,
+    RequestError,
+    Violation,
+    check_time,
+    violations_at,
+)
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import cross, left_of, length, turn, unit
 from hitchopt.hitch import Team
@@ -579,7 +586,7 @@ def grip_clasps(
     tension = SEARCH_TENSION_RATIO * drone.level_pull(requirements.limits.tilt)[0]
     friction, section = team.friction, body.section
     task = GripTask(section, team.robots, cable, tension, friction, requirements, drone)
-    with violations_at(f"around objects.{name}"):
+    with violations_at(f"around objects.{name}", object=name, reason=Reason.NO_GRIP):
         yield from (grip.vertices for grip in grips(task))
 
 

@@ -75,8 +75,15 @@ def check_shapes(path: FlatPath) -> None:
         raise InfeasibleError([violation])
 
 
-def shape_violation(path: FlatPath) -> Violation | None:
-    """Return the violation of a polygon that is not convex, or of an edge or leg that vanishes."""
+ON_PATH = "of the path"
+"""Words for the path in descriptions of places on it."""
+
+
+def shape_violation(path: FlatPath, on_path: str = ON_PATH) -> Violation | None:
+    """Return the violation of a polygon that is not convex, or of an edge or leg that vanishes.
+
+    ``on_path`` are the words for the path.
+    """
     s = np.linspace(0.0, 1.0, 401)
     layout = path.team.layout
     shapes = shapes_along(path, s)
@@ -85,14 +92,14 @@ def shape_violation(path: FlatPath) -> Violation | None:
     shorter = np.minimum(lengths[:, layout.ahead], lengths[:, layout.behind])
     angles = np.where(shorter < MIN_EDGE, 0.0, exterior_angles(layout, edges))
     if np.min(angles) < MIN_ANGLE:
-        return _flat_corner(layout, s, angles)
+        return _flat_corner(layout, s, angles, on_path)
     legs = np.where(layout.has_leg, shapes.legs, np.inf)
     if np.min(legs) < MIN_LEG:
-        return _short_leg(path.team, s, legs)
+        return _short_leg(path.team, s, legs, on_path)
     return None
 
 
-def _flat_corner(layout: Layout, s: Array, angles: Array) -> Violation:
+def _flat_corner(layout: Layout, s: Array, angles: Array, on_path: str) -> Violation:
     """Return the violation of the smallest exterior angle (J, clasps) [rad] at s (J,)."""
     clasp = int(np.argmin(np.min(angles, axis=0)))
     first = int(np.argmax(angles[:, clasp] < MIN_ANGLE))
@@ -106,12 +113,12 @@ def _flat_corner(layout: Layout, s: Array, angles: Array) -> Violation:
         "min",
         "deg",
         (f"p{layout.clasps[clasp]}",),
-        f"from {s[first]:.0%} of the path",
+        f"from {s[first]:.0%} {on_path}",
         remedy,
     )
 
 
-def _short_leg(team: Team, s: Array, legs: Array) -> Violation:
+def _short_leg(team: Team, s: Array, legs: Array, on_path: str) -> Violation:
     """Return the violation of the shortest leg (J, n, 2) [m] at s (J,), infinite without one."""
     sample, cable, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
     remaining = legs[sample, cable][team.layout.has_leg[cable]].sum()
@@ -122,7 +129,7 @@ def _short_leg(team: Team, s: Array, legs: Array) -> Violation:
         "min",
         "m",
         (team.drone_names[2 * cable + end],),
-        f"at {s[sample]:.0%} of the path",
+        f"at {s[sample]:.0%} {on_path}",
         f"{team.cable_names[cable]} leaves {remaining:.6g} m there",
     )
 
@@ -134,9 +141,12 @@ def check_loads(path: FlatPath, limits: Limits) -> None:
         raise InfeasibleError([violation])
 
 
-def load_violation(path: FlatPath, limits: Limits) -> Violation | None:
-    """Return the violation of a limit by hovering at a point at which the path is timed."""
-    when = [f"at rest at {s:.0%} of the path" for s in path_grid(TIMING_GRID)]
+def load_violation(path: FlatPath, limits: Limits, on_path: str = ON_PATH) -> Violation | None:
+    """Return the violation of a limit by hovering at a point at which the path is timed.
+
+    ``on_path`` are the words for the path.
+    """
+    when = [f"at rest at {s:.0%} {on_path}" for s in path_grid(TIMING_GRID)]
     remedies = (
         "use a drone with more thrust, or lower team.tension",
         "allow more tilt, or use heavier drones, or lower team.tension",

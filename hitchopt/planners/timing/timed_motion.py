@@ -11,7 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, Violation, rounded_up
+from hitchopt.errors import (
+    InfeasibleError,
+    StepPlace,
+    Violation,
+    rounded_up,
+)
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.forces import cable_of, sag_factors
 from hitchopt.hitch.requirements import Limits, Requirements
@@ -40,12 +45,15 @@ def in_duration(motion: Motion, duration: float) -> Motion:
     return motion.map_curves(lambda part: part.replaced(part.coefficients, breaks), ())
 
 
-def check_duration(duration: float, fastest: float, when: str = "") -> None:
-    """Raise InfeasibleError if a prescribed duration is shorter than the fastest one [s]."""
+def check_duration(duration: float, fastest: float, *steps: StepPlace) -> None:
+    """Raise InfeasibleError if a prescribed duration of steps is shorter than the fastest one [s].
+
+    The steps may be unknown.
+    """
     if duration < fastest:
         remedy = f"allow {rounded_up(fastest, 6):.6g} s or more, or raise the limits of motion"
         raise InfeasibleError(
-            [Violation("duration", duration, fastest, "min", "s", (), when, remedy)]
+            [Violation("duration", duration, fastest, "min", "s", (), "", remedy, steps)]
         )
 
 
