@@ -437,8 +437,7 @@ def repair(
         return plan
     candidates = find_suggestions(task, plan, budget, progress)
     if not candidates:
-        note = f"{plan.note}\n{NO_CHANGE}" if plan.note else NO_CHANGE
-        raise InfeasibleError(plan.violations, note)
+        raise plan.with_note(NO_CHANGE)
     change = candidates[0].change
     plan = solve(change.problem, progress=progress)
     return replace(plan, title=f"{task.title} with {change}".strip())

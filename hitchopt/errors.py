@@ -361,15 +361,33 @@ class Violation(OneLine):
 class InfeasibleError(HitchoptError):
     """A request that cannot be met: its ``violations``, and a ``note`` on attempts.
 
+    ``unplanned`` are steps after the one that cannot be planned, as ``1 (hold)``.
+
     Violations that a certificate finds are in the order of its checks, not by size, except that at
     the start ``span`` precedes all others, which may follow from it.
     """
 
-    def __init__(self, violations: Iterable[Violation], note: str = "") -> None:
+    def __init__(
+        self, violations: Iterable[Violation], note: str = "", unplanned: Iterable[str] = ()
+    ) -> None:
         self.violations = tuple(violations)
         self.note = note
-        lines = [str(v) for v in self.violations] + ([note] if note else [])
-        super().__init__("\n".join(lines))
+        self.unplanned = tuple(unplanned)
+        super().__init__("\n".join([*map(str, self.violations), *self.notes]))
+
+    @property
+    def notes(self) -> list[str]:
+        """Lines on attempts and on steps that were not planned."""
+        rest = [f"not checked yet: steps {', '.join(self.unplanned)}"] if self.unplanned else []
+        return [*self.note.splitlines(), *rest]
+
+    def with_violations(self, violations: Iterable[Violation]) -> InfeasibleError:
+        """Return the error with other violations."""
+        return InfeasibleError(violations, self.note, self.unplanned)
+
+    def with_note(self, line: str) -> InfeasibleError:
+        """Return the error with a further line of its note."""
+        return InfeasibleError(self.violations, f"{self.note}\n{line}".strip(), self.unplanned)
 
     def at(self, when: str, **known: Any) -> InfeasibleError:
         """Return the error with the same description of the time for all violations.
@@ -377,7 +395,7 @@ class InfeasibleError(HitchoptError):
         ``known`` are further fields of all violations; their steps are unknown.
         """
         known = {"when": when, "steps": ()} | known
-        return InfeasibleError((replace(each, **known) for each in self.violations), self.note)
+        return self.with_violations(replace(each, **known) for each in self.violations)
 
     def of_team(self, name: str) -> InfeasibleError:
         """Return the error with a team's name before its drones; itself if the name is empty."""
@@ -387,7 +405,8 @@ class InfeasibleError(HitchoptError):
             replace(each, where=tuple(f"{name}.{place}" for place in each.where), team=name)
             for each in self.violations
         ]
-        return InfeasibleError(violations, self.note and f"{name}: {self.note}")
+        unplanned = [f"{step} of {name}" for step in self.unplanned]
+        return InfeasibleError(violations, self.note and f"{name}: {self.note}", unplanned)
 
 
 @contextmanager

@@ -150,7 +150,7 @@ def report_error(error: HitchoptError) -> None:
     record(errors=_entries(error))
     notes = list[str]()
     if isinstance(error, InfeasibleError) and error.violations:
-        notes = error.note.splitlines()
+        notes = error.notes
     lines = str(error).splitlines() or [type(error).__name__]
     for index, line in enumerate(lines):
         kind = "note" if index >= len(lines) - len(notes) else "error"

@@ -232,7 +232,7 @@ def _leave_diagnosis(
     if problem and problem.kind == "hitch" and isinstance(error, InfeasibleError):
         suggestions, note = _suggestions(problem, error, seconds)
         if note:
-            error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
+            error = error.with_note(note)
         content = diagnosis_content(error, [each.to_dict() for each in suggestions])
         save_diagnosis(folder, content)
         if repair_to and suggestions:

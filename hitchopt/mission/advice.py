@@ -71,7 +71,7 @@ def with_tracking_advice(
             violations.append(replace(each, remedy=_remedy(each, stiffer)))
         else:
             violations.append(each)
-    return InfeasibleError(violations, error.note)
+    return error.with_violations(violations)
 
 
 def with_tilt_advice(
@@ -87,7 +87,7 @@ def with_tilt_advice(
         is_silent = violation.constraint == "tilt" and by_controllers not in violation.remedy
         remedy = f"{violation.remedy}; {by_controllers}" if is_silent else violation.remedy
         violations.append(replace(violation, remedy=remedy))
-    return InfeasibleError(violations, error.note)
+    return error.with_violations(violations)
 
 
 def placed_in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
@@ -103,7 +103,7 @@ def placed_in_step(error: InfeasibleError, first: int, group: Sequence[Step]) ->
         )
         remedy = _remedy(violation, "omit blend" if len(group) > 1 else "")
         violations.append(replace(violation, steps=steps or of_group, remedy=remedy))
-    return InfeasibleError(violations, error.note)
+    return error.with_violations(violations)
 
 
 def _named_place(place: StepPlace, step: Step) -> StepPlace:
@@ -131,7 +131,7 @@ def refusal(motion: Motion, certificate: Certificate, steps: Sequence[Step]) -> 
         of_steps = (steps[k].advice(binding, f"mission[{k}].{steps[k].name}") for k in indices)
         advice = next(filter(None, of_steps), "omit blend" if is_blended else "")
         violations.append(replace(violation, remedy=_remedy(violation, advice)))
-    return InfeasibleError(violations, error.note)
+    return error.with_violations(violations)
 
 
 def _remedy(violation: Violation, advice: str) -> str:

@@ -36,7 +36,6 @@ from hitchopt.mission.changes import Change, broken_constraints, change_of, size
 from hitchopt.mission.fitted_values import fitted_sizes
 from hitchopt.mission.knobs import SPACE_CHECKS, knobs_of
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.solving import UNPLANNED
 from hitchopt.mission.trials import Trial, faults_of
 from hitchopt.steps.knob import Knob
 from hitchopt.values import known
@@ -229,7 +228,7 @@ class _Search:
         done = {(each.change.key, each.change.relative > 0.0) for each in suggestions}
         sufficient = [knob for knob in sufficient if (knob.key, knob.sign > 0) not in done]
         suggestions += self._single_changes(sufficient)
-        if not suggestions and self._error.note.partition(UNPLANNED)[0]:  # the optimiser may help
+        if not suggestions and self._error.note:  # the optimiser may help
             suggestions += self._smallest_of(sufficient, partial(self._trial, optimiser=True))
         if not suggestions and self._combines:
             suggestions += self._combinations(knobs)

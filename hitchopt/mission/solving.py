@@ -47,7 +47,6 @@ from hitchopt.steps.step import Step
 from hitchopt.values import Array
 
 AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
-UNPLANNED = "not checked yet: steps "  # Start of the note on steps that were not planned
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,8 +179,7 @@ def _plan_steps(
                 raise
             named = placed_in_step(error, first, group)
             rest = [f"{i} ({step.name})" for i, step in enumerate(steps)][first + len(group) :]
-            note = f"{UNPLANNED}{', '.join(rest)}" if rest else ""
-            raise InfeasibleError(named.violations, f"{named.note}\n{note}".strip()) from error
+            raise InfeasibleError(named.violations, named.note, rest) from error
         plans.append(plan)
         motions.append(plan.motion)
         state = plan.after

@@ -98,9 +98,9 @@ class UnexplainedError(InfeasibleError):
         self._error = error
         self._explained = explained
 
-    def with_note(self, note: str) -> UnexplainedError:
-        """Return the refusal with another note."""
-        return UnexplainedError(self._error, note, self._explained)
+    def with_note(self, line: str) -> UnexplainedError:
+        """Return the refusal with a further line of its note."""
+        return UnexplainedError(self._error, f"{self.note}\n{line}".strip(), self._explained)
 
     def explained(self) -> InfeasibleError:
         """Return the refusal with the violations that the analysis finds."""
@@ -237,7 +237,4 @@ def _refusal(failures: Sequence[Failure], *, complete: bool = True) -> HitchoptE
     if first is not best and isinstance(first.error, InfeasibleError):
         violation = replace(first.error.violations[0], remedy="")
         note += f"; {first.candidate.name}: {str(violation).rstrip('; ')}"
-    whole_note = f"{error.note}\n{note}".strip()
-    if isinstance(error, UnexplainedError):
-        return error.with_note(whole_note)
-    return InfeasibleError(error.violations, whole_note)
+    return error.with_note(note)
