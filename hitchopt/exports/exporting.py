@@ -10,8 +10,15 @@ from __future__ import annotations
 import contextlib
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import (
+    Callable,
+    Iterator,
+    Mapping,
+    Sequence,
+    Set,
+)
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +61,7 @@ from hitchopt.motion.flight import REST_RATE, Flight
 from hitchopt.motion.loads import ellipsoid_notes, tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import SavedPlan, write_plan
+from hitchopt.planners.candidates import outcome
 from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values import Array, alternatives
@@ -321,17 +329,24 @@ def _export_task(
     policy = _policy(kind, task)
     may_lose = task.options.allow_slack
     if not policy.slack_reason:
-        try:
-            held = _with_offsets(task) if policy.needs_offsets else task
-            return _export_as_held(kind, held, scratch / "held", say)
-        except InfeasibleError:
-            if not (policy.needs_offsets and may_lose):
-                raise
+        held = outcome(partial(_export_held, kind, task, policy, scratch / "held", say))
+        if not isinstance(held, InfeasibleError):
+            return held
+        if not (policy.needs_offsets and may_lose):
+            raise held
     elif not may_lose:
         remedy = _tried_remedy(kind, task, scratch / "remedy", say)
         message = f"{kind.name}: {policy.slack_reason} {remedy}, or add allow_slack=True."
         raise InfeasibleError([], message)
     return _export_as_held(kind, task, scratch / "slack", say)
+
+
+def _export_held(
+    kind: Format, task: ExportTask, policy: TensionPolicy, scratch: Path, say: Progress
+) -> tuple[ExportTask, list[Export]]:
+    """Export a task whose tensions a policy holds, with offsets if it needs them."""
+    held = _with_offsets(task) if policy.needs_offsets else task
+    return _export_as_held(kind, held, scratch, say)
 
 
 def _policy(kind: Format, task: ExportTask) -> TensionPolicy:
@@ -429,13 +444,16 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
             yield (replace(task.stretched(factor), notes=(*task.notes, note)),)
         yield from filter(None, (kind.parts(task, share) for share in REFIT_SHARES))
 
+    def exported(tasks: Sequence[ExportTask], folder: Path) -> list[Export]:
+        return [_export_part(kind, each, folder, say, refusals) for each in tasks]
+
     for number, tasks in enumerate(candidates()):
-        with contextlib.suppress(InfeasibleError):  # which _export_part adds to ``refusals``
-            folder = scratch / str(number)
-            exports = [_export_part(kind, each, folder, say, refusals) for each in tasks]
-            is_slower = number > 0 and len(tasks) == 1
-            if not is_slower or certificate_of(tasks[0].plan).certified:
-                return exports
+        exports = outcome(partial(exported, tasks, scratch / str(number)))
+        if isinstance(exports, InfeasibleError):  # which _export_part adds to ``refusals``
+            continue
+        is_slower = number > 0 and len(tasks) == 1
+        if not is_slower or certificate_of(tasks[0].plan).certified:
+            return exports
     # Parts that fit in memory say more than the whole that does not
     raise next((each for each in refusals if not _exceeds_memory(each)), refusals[0])
 
@@ -457,6 +475,31 @@ def _written(kind: Format, folder: Path, task: ExportTask) -> FormatOutput:
         raise UnsupportedError(f"the format {kind.name} failed to write: {words}") from error
 
 
+def _verified_output(
+    kind: Format,
+    task: ExportTask,
+    folder: Path,
+    flown: Flown,
+    violated: Set[str],
+    say: Progress,
+) -> tuple[FormatOutput, Verdict]:
+    """Return what a format has written, and the verdict on what it reads back.
+
+    Limits of some names, ``violated`` by earlier refits, are verified first. Raises InfeasibleError
+    if any is violated.
+    """
+    written = _written(kind, folder, task)
+    say(f"reading {kind.name} back")
+    contents = kind.read(folder, task)
+    rules = flown.rules
+    for subset in filter(None, ([rule for rule in rules if rule.name in violated], rules)):
+        verdict = verify(flown, contents, task.frame, task.names, subset, task.trims)
+        if violations := verdict.violations(flown, kind.accuracy):
+            reason = OFFSET_REASON if task.holds_tension else ROUNDING_REASON
+            raise InfeasibleError(violations, f"{kind.name} is not written: {reason}")
+    return written, verdict
+
+
 def _export_part(
     kind: Format, task: ExportTask, place: Path, say: Progress, refusals: list[InfeasibleError]
 ) -> Export:
@@ -467,23 +510,15 @@ def _export_part(
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
     flown = Flown(task.flight, task.without_offsets, task.options.positions_only)
-    rules = flown.rules
     for attempt, bound in enumerate(kind.bounds, 1):
         say(f"writing {kind.name}" + (f", attempt {attempt}" if attempt > 1 else ""))
-        try:
-            written = _written(kind, folder, replace(task, bound=bound))
-            say(f"reading {kind.name} back")
-            contents = kind.read(folder, task)
-            violated = {each.constraint for refusal in refusals for each in refusal.violations}
-            for subset in filter(None, ([r for r in rules if r.name in violated], rules)):
-                where = task.frame, task.names
-                verdict = verify(flown, contents, *where, subset, task.trims)
-                if violations := verdict.violations(flown, kind.accuracy):
-                    reason = OFFSET_REASON if task.holds_tension else ROUNDING_REASON
-                    raise InfeasibleError(violations, f"{kind.name} is not written: {reason}")
-        except InfeasibleError as refusal:
-            refusals.append(refusal)
+        violated = {each.constraint for refusal in refusals for each in refusal.violations}
+        refit = replace(task, bound=bound)
+        verified = outcome(partial(_verified_output, kind, refit, folder, flown, violated, say))
+        if isinstance(verified, InfeasibleError):
+            refusals.append(verified)
             continue
+        written, verdict = verified
         notes = (*written.notes, *task.notes, *task.undetermined)
         if task.trailing is not None:
             verdict = replace(verdict, checks=(*verdict.checks, task.trailing))

@@ -15,7 +15,11 @@ import zipfile
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from functools import (
+    lru_cache,
+    partial,
+    reduce,
+)
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -45,6 +49,7 @@ from hitchopt.motion.retiming import (
 )
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_world
+from hitchopt.planners.candidates import outcome
 from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.planners.task import RestState, StepTask
 from hitchopt.planners.tying import vertical_motion
@@ -145,10 +150,8 @@ class Aborts:
         """
         if saved is not None and self.holds(saved):
             return saved
-        try:
-            return self.plan(time, how)
-        except InfeasibleError:
-            return None
+        found = outcome(partial(self.plan, time, how))
+        return found if isinstance(found, Abort) else None
 
     def _in_place(self, time: float, how: str) -> Abort | InfeasibleError | None:
         """Return the first hold, way back or landing that starts where a stop ends, or an error."""
@@ -191,18 +194,14 @@ class Aborts:
         It must be shorter than the abort ``shorter``.
         """
         most = shorter.flight.duration if isinstance(shorter, Abort) else np.inf
-        try:
-            way = self._way(stop, origin)
-        except InfeasibleError as error:
-            return _Refused(error, at_end=False)
+        way = outcome(partial(self._way, stop, origin))
+        if isinstance(way, InfeasibleError):
+            return _Refused(way, at_end=False)
         if violated := self._violated(way, stop.start, WAY_CHECKS):
             return _Refused(_error(violated, way), at_end=False)
-        try:
-            _require_shorter(way, most)
-            flight = replace(self._continuation(way, how, origin), others=self.others)
-            _require_shorter(flight, most)
-        except InfeasibleError as error:
-            return _Refused(error, at_end=True)
+        flight = outcome(partial(self._shorter_continuation, way, how, origin, most))
+        if isinstance(flight, InfeasibleError):
+            return _Refused(flight, at_end=True)
         violated = self._violated(flight, stop.start, QUICK_CHECKS)
         violated = violated or self._violated(flight, stop.start)
         if not violated:
@@ -308,6 +307,13 @@ class Aborts:
         player = Player(self.flight, stop.rest, 0.0)
         player.seek(origin)
         return stop.flight.followed_by(_on_clock(self.flight, player.ahead))
+
+    def _shorter_continuation(self, way: Flight, how: str, origin: float, most: float) -> Flight:
+        """Return the continuation of a way; raise InfeasibleError unless it is below a duration."""
+        _require_shorter(way, most)
+        flight = replace(self._continuation(way, how, origin), others=self.others)
+        _require_shorter(flight, most)
+        return flight
 
     def _continuation(self, whole: Flight, how: str, origin: float) -> Flight:
         """Return a way to a plan time [s] and what follows it, not yet certified."""

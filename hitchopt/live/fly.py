@@ -10,7 +10,10 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import cache
+from functools import (
+    cache,
+    partial,
+)
 from typing import Protocol
 
 import numpy as np
@@ -24,6 +27,7 @@ from hitchopt.live.reacting import Player
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT
 from hitchopt.motion.states import flight_states_at
+from hitchopt.planners.candidates import Candidate, Effort, first_certified, outcome
 from hitchopt.values import Array, positive
 
 COMMANDS = ("pause", "resume", "back", "abort", "land", "lose")
@@ -187,16 +191,15 @@ class CommandedPlan:
                 player.resume()
             self._await_rest(command)
             return f"{command}: as soon as the chain is held"
-        refusal = InfeasibleError([], f"{command}: the chain has no landing")
-        for how in dict.fromkeys((self._tables[command].how, "release_and_land", "land")):
-            try:
-                entry = Aborts(flight).plan(flight.duration, how)
-            except InfeasibleError as error:
-                refusal = error
-            else:
-                self._landing = self._landing_of(entry)
-                return f"{EFFECTS[command]}: {how}"
-        raise refusal
+
+        def land(how: str) -> str:
+            """Land in one way, and return its name."""
+            self._landing = self._landing_of(Aborts(flight).plan(flight.duration, how))
+            return how
+
+        ways = dict.fromkeys((self._tables[command].how, "release_and_land", "land"))
+        flown = first_certified([Candidate(how, partial(land, how)) for how in ways], Effort())
+        return f"{EFFECTS[command]}: {flown}"
 
     def _land(self, command: str) -> str:
         """Move the clock to the nearest rest with a landing, preferably a later one.
@@ -212,15 +215,14 @@ class CommandedPlan:
         entries = [x for x in table.entries if not moves_standing(self.flight, time, x.rest)]
         nearest = sorted(entries, key=lambda x: (x.rest < time, abs(x.rest - time)))
         for entry in nearest[:MAX_ATTEMPTS]:
-            try:
-                seconds = self._player.seek(entry.rest)
-            except InfeasibleError as error:
-                refusal = error
-            else:
-                self._landing = self._landing_of(entry)
-                is_behind = bool(table.pending) and entry.rest < time
-                back = f", back at t = {entry.rest:.4g} s: {ahead_planned(table)}"
-                return f"{EFFECTS[command]} in {seconds:.2f} s{back if is_behind else ''}"
+            seconds = outcome(partial(self._player.seek, entry.rest))
+            if isinstance(seconds, InfeasibleError):
+                refusal = seconds
+                continue
+            self._landing = self._landing_of(entry)
+            is_behind = bool(table.pending) and entry.rest < time
+            back = f", back at t = {entry.rest:.4g} s: {ahead_planned(table)}"
+            return f"{EFFECTS[command]} in {seconds:.2f} s{back if is_behind else ''}"
         if not table.pending:
             raise refusal
         seconds, self._waiting = self._player.pause(), command

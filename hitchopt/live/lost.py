@@ -10,7 +10,10 @@ the ground before its cable is taut, because no drone can carry two.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import (
+    lru_cache,
+    partial,
+)
 from itertools import pairwise
 
 import numpy as np
@@ -30,6 +33,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import append_motion, resting
 from hitchopt.motion.states import States, states_at
+from hitchopt.planners.candidates import error_of
 from hitchopt.planners.forming.prehitch import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.support import REFUSALS, Feature, Neighbour
@@ -289,14 +293,14 @@ def survivable(
         if progress is not None:
             progress(f"losses at t = {time:.4g} s of {motion.duration:.4g} s")
         for name, found in spans.items():
-            try:
-                reactions.plan(name, time)
-            except InfeasibleError as error:
-                refused += 1
-                if found and found[-1].end == start:
-                    found[-1] = replace(found[-1], end=end)
-                else:
-                    found.append(UnsurvivableSpan(name, start, end, str(error)))
+            error = error_of(partial(reactions.plan, name, time))
+            if error is None:
+                continue
+            refused += 1
+            if found and found[-1].end == start:
+                found[-1] = replace(found[-1], end=end)
+            else:
+                found.append(UnsurvivableSpan(name, start, end, str(error)))
     without = [each for found in spans.values() for each in found]
     share = 1.0 - refused / (count * len(names))
     where = dict.fromkeys(x.drone for x in without)

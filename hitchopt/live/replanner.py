@@ -14,7 +14,10 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import (
+    cached_property,
+    partial,
+)
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -36,6 +39,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
+from hitchopt.planners.candidates import outcome
 from hitchopt.planners.morph.friction import cables_of_legs
 from hitchopt.planners.path import cable_along
 from hitchopt.planners.rests import rest_motion
@@ -222,11 +226,11 @@ class Replanner(OneLine):
             if isinstance(departure, str):
                 reason = reason or departure
                 continue
-            try:
-                result, self._goal = self._retarget(*goal, departure)
-            except InfeasibleError as error:
-                reason = str(error)
+            retargeted = outcome(partial(self._retarget, *goal, departure))
+            if isinstance(retargeted, InfeasibleError):
+                reason = str(retargeted)
                 break
+            result, self._goal = retargeted
             self.motion, self._certificate = result.motion, result.certificate
             return result
         return Retarget(False, at, self.motion, self.motion, self._certificate, reason)
