@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from hitchopt.checks.custom import Rule, checked_rules
-from hitchopt.checks.registry import NAMES
+from hitchopt.checks.registry import NAMES, RULE_OF_KEY
 from hitchopt.drones.quadrotor import quadrotors
 from hitchopt.errors import Circumstance, InputError, Missing, UnitWarning
 from hitchopt.geometry import Outline
@@ -400,7 +400,11 @@ class SwarmTeam:
 
 
 SWARM_TEAM = mapping_of(SwarmTeam, SwarmTeam.team)
-HITCH_LIMITS = ("vertex_speed", "leg")
+HITCH_LIMITS = tuple(
+    key.removeprefix("limits.")
+    for key, rule in RULE_OF_KEY.items()
+    if any({"vertices", "cables"} & {*bodies} for bodies in rule.bodies)
+)
 """Keys of limits that do not apply to single drones."""
 
 HITCH_SEPARATION = ("cable", "crossing", "object")

@@ -12,13 +12,16 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt import Hitch, Limits, Separation, Team
+from hitchopt.checks.drones import Drones
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import load_problem
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.path import Path
+from hitchopt.planners.timing import stretch
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
 from hitchopt.planners.timing.profile import (
     Demands,
@@ -256,6 +259,24 @@ def test_the_stretch_of_a_known_turn_is_exact() -> None:
     assert found == pytest.approx((30.0 / GRAVITY / 0.5) ** (1 / 3), rel=2e-3)
     assert further_stretch(turn, 7.0) == 7.0
     assert further_stretch(Motion.single(Swarm(1), Requirements(), part, ()), 1.5) == 1.5
+
+
+@pytest.mark.parametrize(("name", "limit"), [("triangle", 1.8), ("swarms/head_on", 1.7)])
+def test_a_limit_is_planned_for_by_its_record(
+    name: str, limit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a line in planners: of rates of thrust, which no clock bounds."""
+    formula = WorstOverSpans(Drones, lambda spans: spans.jets.thrust.rate.norm_upper, "max", 0.0)
+    evaluators = (Evaluator(formula),)
+    rule = CheckRule("thrust_rate", "N/s", "max", limit, evaluators, ease="time", derivative=3)
+    without = rule.check(planned(name).motion)
+    monkeypatch.setattr(stretch, "SLOWED", (rule,))
+    kept = rule.check(ho.solve(PROBLEMS / f"{name}.yaml").motion)
+    assert without is not None
+    assert kept is not None
+    assert kept.holds
+    assert not without.holds
+    assert kept.worst > 0.95 * limit
 
 
 def test_a_flight_with_the_needed_stretch_just_keeps_its_limit() -> None:
