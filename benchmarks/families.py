@@ -12,7 +12,8 @@ crosses, and with tracking errors; ``many``, of 20 and 24 robots; ``chain``, of 
 ``curves``, letters and closed curves that a vertex writes; ``timed``, such curves with the times of
 their points; ``blends``, steps in a row without a stop; ``box``, ``door`` and ``corridor``, single
 drones in tight boxes, through doors and past each other. Both ends of every problem are certified
-at rest before it is planned, and none is left out afterwards.
+at rest before it is planned, those of ``carry`` are drawn by geometry alone, and none is left out
+afterwards.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -34,18 +34,7 @@ from scipy.spatial.distance import pdist
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, most_common, parser
 from hitchopt import verify
-from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import HITCHED_STATE, Motion
-from hitchopt.objects import Rim, Section
-from hitchopt.planners.carrying.polygons import (
-    EDGE_MARGIN,
-    GRIP_STRETCHES,
-    GripTask,
-    HoldPolygons,
-    best_grip,
-    rest_polygons,
-)
-from hitchopt.planners.fitting import enclosing_polygon, shortest_cable
 from problems.random_morph import (
     WILD_EDGE,
     WILD_SLACK,
@@ -268,6 +257,9 @@ def _scattered(cables: Array, on_ground: bool, rng: np.random.Generator) -> dict
 CARRY_ALTITUDE = 1.3
 """Altitude of a hitch before it takes an object [m]."""
 
+MAX_GRIPPING = 4
+"""Largest number of robots that grip: more hold less."""
+
 RIM_SHARE = 0.7
 """Share of the objects that rest on a rim; the others are gripped."""
 
@@ -277,7 +269,7 @@ HALF_WIDTH = (0.18, 0.28)
 ASPECT = (1.0, 1.5)
 """Width of an object along its longer axis, over the smaller one, minimum and maximum."""
 
-STEM_SHARE = {3: (0.2, 0.45), 4: (0.3, 0.6), 5: (0.3, 0.6), 6: (0.3, 0.6)}
+STEM_SHARE = {3: (0.2, 0.35), 4: (0.3, 0.5), 5: (0.3, 0.5), 6: (0.3, 0.5)}
 """Ratio of the body's width to that of its rim, minimum and maximum, by number of robots: three
 clasps form a triangle, which leaves less room for it."""
 
@@ -290,11 +282,20 @@ RESTING_MASS = (0.1, 0.4)
 GRIPPED_MASS = (0.04, 0.1)
 """Mass of gripped objects, minimum and maximum [kg]."""
 
-EXTRA_CABLE = (0.0, 0.35)
-"""Length of cables beyond the shortest that keep drones apart around the object, as a range."""
+AROUND = 0.09
+"""Distance of the hitch around an object to an ellipse about the object [m]."""
 
-START_SCALE = (1.0, 1.3)
+LEG = 0.29
+"""Shortest leg of cables whose edge is the longest [m]; drones of a triangle are 27 cm apart."""
+
+EXTRA_CABLE = (0.0, 0.2)
+"""Length of cables beyond it, minimum and maximum [m]."""
+
+START_SCALE = (0.9, 1.1)
 """Size of the hitch at the start over that around the object, minimum and maximum."""
+
+UNEVEN = 0.1
+"""Largest turn of a vertex of the hitch at the start, over the angle between two."""
 
 BESIDE = (0.5, 0.9)
 """Distance of a table to the object's corners, minimum and maximum [m]: drones reach farther."""
@@ -305,10 +306,6 @@ TABLE_HEIGHT = (0.2, 0.6)
 PLACES = (1.2, 2.2)
 """Distance of the object from the hitch and of its goal from its start, minimum and maximum [m]."""
 
-
-TURNS = 12
-"""Number of turns of the hitch around the object, one of which is certified at both positions."""
-
 LIMITS = {"tilt_deg": 60}
 """Limits of teams that carry."""
 
@@ -316,87 +313,49 @@ LIMITS = {"tilt_deg": 60}
 def wild_carry(seed: int) -> dict[str, Any]:
     """Return a problem in which a hitch takes an object and sets it down elsewhere.
 
-    The hitch is certified at the start, and around the object at both positions by some turn.
-    Cables are such that a polygon holds the object by its rim, or a grip of its section exists.
+    It follows from random numbers and geometry alone, so that one seed is one problem whatever the
+    planner and the certificate find. The hitch around the object is a regular polygon that is
+    stretched about an ellipse; cables leave legs beyond its edges and those at the start.
     """
     n = _robots(seed, CARRY_ROBOTS)
     rng = np.random.default_rng([n, seed, 2])
-    while True:
-        try:
-            data, around = _carrying(n, seed, rng)
-        except ho.InfeasibleError:  # no polygon below the rim, or no grip
-            continue
-        team, objects = data["team"], data["objects"]
-        thing, goal = objects["thing"], data["mission"][0]["transport_object"]["to"]
-        moved = {**objects, "thing": {**thing, "at": goal}}
-        height = thing["rim"]["at"] - 0.1 if "rim" in thing else 0.5 * thing["to"]
-        starts = is_certified(team, data["start"], {"limits": LIMITS, "objects": objects})
-        if starts and all(_fits(team, around, height, each) for each in (objects, moved)):
-            return data
-
-
-def _fits(team: dict[str, Any], around: Array, height: float, objects: dict[str, Any]) -> bool:
-    """Return whether the hitch around the object is certified at rest by some turn."""
-    obstacles = {name: body for name, body in objects.items() if name != "thing"}
-    options = {"limits": LIMITS, "objects": obstacles}
-    place, polygon = np.array(objects["thing"]["at"][:2]), ho.ConvexPolygon(around)
-    for turn in 2.0 * math.pi / TURNS * np.arange(TURNS):
-        vertices = polygon.rotated(float(turn)).vertices + place
-        hitch = {"polygon": vertices.tolist(), "altitude": height, "legs": "spread"}
-        if is_certified(team, {"hitch": hitch}, options):
-            return True
-    return False
-
-
-def _carrying(n: int, seed: int, rng: np.random.Generator) -> tuple[dict[str, Any], Array]:
-    """Return a problem whose ends are not certified yet, and the polygon around its object [m]."""
-    rests, is_round = bool(rng.random() < RIM_SHARE), bool(rng.random() < 0.3)
+    rests = bool(n > MAX_GRIPPING or rng.random() < RIM_SHARE)
+    is_round = bool(rng.random() < 0.3)
     half = float(rng.uniform(*HALF_WIDTH))
-    other = half if is_round else half * float(rng.uniform(*ASPECT))
-    widths = np.array([half, other])
-    corner = half if is_round else float(np.linalg.norm(widths))
+    widths = np.array([half, half if is_round else half * float(rng.uniform(*ASPECT))])
+    axes = widths if is_round else math.sqrt(2.0) * widths  # of an ellipse through its corners
     directions = rng.uniform(-math.pi, math.pi, 3)
     away, onward = rng.uniform(*PLACES, 2)
     at = away * np.array([math.cos(directions[0]), math.sin(directions[0])])
     to = at + onward * np.array([math.cos(directions[1]), math.sin(directions[1])])
     body: dict[str, Any] = {"at": [*_rounded(at), 0.0]}
     body["yaw_deg"] = round(float(rng.uniform(0.0, 360.0)), 1)
-    outer = Section(radius=half) if is_round else Section(widths * RECTANGLE)
-    requirements, extra = Requirements(), float(rng.uniform(*EXTRA_CABLE))
-    gap = requirements.separation.object + EDGE_MARGIN
     if rests:
         share, height = float(rng.uniform(*STEM_SHARE[n])), float(rng.uniform(*RIM_HEIGHT))
         body |= {**_section(share * widths, is_round), "to": round(height + 0.05, 3)}
         body["rim"] = {"at": round(height, 3), **_section(widths, is_round)}
         body["mass"] = round(float(rng.uniform(*RESTING_MASS)), 3)
-        stem = Section(radius=share * half) if is_round else Section(share * widths * RECTANGLE)
-        tray = ho.SolidObject(stem, 0.0, height + 0.05, rim=Rim(outer, height))
-        polygons, *_ = rest_polygons("thing", tray, n, gap)
-        around = polygons.around
-        outlines = [ho.ConvexPolygon(each) for each in (around, polygons.clasps)]
-        cable = shortest_cable(outlines, requirements) + extra
     else:
         body |= {**_section(widths, is_round), "to": round(float(rng.uniform(0.25, 0.4)), 3)}
         body |= {"mass": round(float(rng.uniform(*GRIPPED_MASS)), 3), "friction": 0.6}
-        enclosing = enclosing_polygon(outer, n, gap)
-        around, shortest = enclosing.vertices, shortest_cable([enclosing], requirements)
-        kind = ho.Quadrotor()
-        task = GripTask(outer, n, shortest, 1.0, 0.15, requirements, kind)
-        cable = _gripping_cable(task, requirements.separation.object) + 0.3 * extra
     objects = {"thing": body}
     if rng.random() < 0.5:
+        corner = float(np.max(axes) if is_round else np.linalg.norm(widths))
         objects["table"] = _table(at, corner, directions[2], rng)
-    team: dict[str, Any] = {"robots": n, "cable_length": round(float(cable), 2)}
+    radius = float(np.sqrt(np.mean((axes + AROUND) ** 2))) / math.cos(math.pi / n)
+    uneven = UNEVEN * rng.uniform(-1.0, 1.0, n)
+    angles = rng.uniform(0.0, 2.0 * math.pi) - 2.0 * math.pi / n * (np.arange(n) + uneven)
+    polygon = radius * rng.uniform(*START_SCALE) * np.stack([np.cos(angles), np.sin(angles)], -1)
+    longest = float(np.max(np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)))
+    longest = max(longest, 2.0 * radius * math.sin(math.pi / n))
+    cable = longest + 2.0 * LEG + float(rng.uniform(*EXTRA_CABLE))
+    team: dict[str, Any] = {"robots": n, "cable_length": round(cable, 2)}
     team |= {"cable_density": CABLE_DENSITY, "tension": 1.0}
     team |= {} if rests else {"cable_friction": 0.15}
-    edge = float(np.max(ho.ConvexPolygon(around).edge_lengths)) * float(rng.uniform(*START_SCALE))
-    angles = rng.uniform(0.0, 2.0 * math.pi) - 2.0 * math.pi * np.arange(n) / n
-    angles += rng.uniform(-0.2, 0.2, n) * math.pi / n
-    polygon = 0.5 * edge / math.sin(math.pi / n) * np.stack([np.cos(angles), np.sin(angles)], -1)
     carry: dict[str, Any] = {"object": "thing", "to": [*_rounded(to), 0.0]}
     carry |= {"yaw_deg": round(float(rng.uniform(-120.0, 120.0)), 1)}
     carry |= {} if rests else {"tension": 1.3}
-    data = {
+    return {
         "title": f"Wild carry, n = {n}, seed {seed}",
         "team": team,
         "limits": LIMITS,
@@ -404,24 +363,6 @@ def _carrying(n: int, seed: int, rng: np.random.Generator) -> tuple[dict[str, An
         "start": {"hitch": {"polygon": np.round(polygon, 3).tolist(), "altitude": CARRY_ALTITUDE}},
         "mission": [{"transport_object": carry}],
     }
-    return data, around
-
-
-def _gripping_cable(task: GripTask, clearance: float) -> float:
-    """Return the cable length [m] of the task, or a longer one that a wider hitch needs before.
-
-    That hitch encloses the section with a ``clearance`` [m].
-    """
-    grip = best_grip(task)
-    gap = clearance + EDGE_MARGIN
-    centre = task.section.centroid
-    polygons = HoldPolygons.about(grip.vertices, centre, (task.section,), gap, GRIP_STRETCHES)
-    try:
-        needed = shortest_cable([ho.ConvexPolygon(polygons.around)], task.requirements)
-        best_grip(replace(task, cable_length=max(needed, task.cable_length)))
-    except ho.InfeasibleError:
-        return task.cable_length
-    return max(needed, task.cable_length)
 
 
 def _table(at: Array, corner: float, direction: float, rng: np.random.Generator) -> dict[str, Any]:
@@ -460,9 +401,6 @@ def _section(half_widths: Array, is_round: bool) -> dict[str, Any]:
 
 FITTED_ROBOTS = range(3, 6)
 """Numbers of robots whose cables and mass ``fit`` states, in turn."""
-
-MAX_GRIPPING = 4
-"""Largest number of robots that grip: more hold less."""
 
 FITTED_TENSION = (0.8, 1.3)
 """Tension of these cables, minimum and maximum [N]."""
