@@ -407,16 +407,35 @@ def test_the_summary_and_the_picture_of_a_sweep(swept: tuple[Path, pandas.DataFr
     assert (found.planned.count, found.planned.rows, found.cases) == (4, 6, 7)
     assert sum(count for _, count in found.binding) == 2
     points = outcomes(rows)
-    assert [row["team.tension"] for row in points] == [0.3, 0.3, 0.5, 0.5, 2.5, 2.5]
+    assert [row["team.tension [N]"] for row in points] == [0.3, 0.3, 0.5, 0.5, 2.5, 2.5]
     assert [row.get("binding") for row in points] == [None] * 4 + ["thrust"] * 2
     np.testing.assert_allclose([row["duration [s]"] for row in points], rows["duration"])
     figure = draw_sweep(points)
     assert figure is not None
     (axes,) = figure.axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("team.tension", "duration [s]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("team.tension [N]", "duration [s]")
     crosses = [line.get_xydata() for line in axes.lines if line.get_marker() == "x"]
     assert np.concatenate(crosses).tolist() == [[2.5, 0.0]] * 2
     assert draw_sweep(outcomes(rows[:1])) is None
+
+
+def test_parameters_have_the_units_of_their_keys() -> None:
+    import pandas
+
+    keys = ("team.tension", "mission[0].morph.duration", "team.robots", "team.quadrotor.controller")
+    cells = [(0.3, 2.0, 3, "lee"), (0.5, 2.0, 4, "lee"), (0.5, 3.0, 4, "pid")]
+    rows = pandas.DataFrame(cells, columns=[f"parameter.{key}" for key in keys])
+    points = outcomes(rows.assign(problem="triangle", status="planned", duration=[1.0, 2.0, 3.0]))
+    heads = ["team.tension [N]", "mission[0].morph.duration [s]", *keys[2:]]
+    assert list(points[0]) == [*heads, "planned", "duration [s]"]
+    figure = draw_sweep(points)
+    assert figure is not None
+    (axes,) = figure.axes
+    assert axes.get_xlabel() == heads[0]
+    labels = [line.get_label() for line in axes.lines]
+    assert (
+        labels[0] == "mission[0].morph.duration 2.0 s, team.robots 3, team.quadrotor.controller lee"
+    )
 
 
 @pytest.mark.parametrize(("values", "line"), [((0.3, 0.5), "-"), (("lee", "pid"), "None")])

@@ -31,6 +31,7 @@ from hitchopt.errors import (
 )
 from hitchopt.lab.simulation.settings import ROPES
 from hitchopt.lab.sweeps.study import Case, Study, digest_of, study_from_dict
+from hitchopt.mission.loading import unit_of
 from hitchopt.storage.files import file_bytes, file_text, replace_files, write_strict_json
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
 from hitchopt.values import integer, text
@@ -295,9 +296,10 @@ def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
     """Return the varying parameters and median results of every point, by column headings."""
     keys = [x for x in rows.columns if x == "problem" or x.startswith(PARAMETER)]
     keys = [key for key in keys if rows[key].nunique(dropna=False) > 1]
+    heads = [_with_unit(key.removeprefix(PARAMETER)) for key in keys]
     table = list[dict[str, Any]]()
     for values, group in rows.groupby(keys or ["problem"], sort=False, dropna=False):
-        row = {key.removeprefix(PARAMETER): x for key, x in zip(keys, values, strict=False)}
+        row = dict[str, Any](zip(heads, values, strict=False))
         refused = group[group["status"] != PLANNED]
         row["planned"] = refused.empty
         row |= {head: float(group[key].median()) for key, head in FIGURES.items() if key in group}
@@ -307,6 +309,18 @@ def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
             row["flown well"] = f"{int(flights.astype(bool).sum())} of {len(flights)}"
         table.append(row)
     return table
+
+
+def _with_unit(key: str) -> str:
+    """Return a key of problem files with its unit, if it has one."""
+    unit = unit_of(key)
+    return f"{key} [{unit}]" if unit else key
+
+
+def _stated(head: str, value: object) -> str:
+    """Return the value of a column, with its unit if the heading has one."""
+    key, _, unit = head.partition(" [")
+    return f"{key} {value} {unit.removesuffix(']')}".rstrip()
 
 
 @style.own_style()
@@ -329,7 +343,7 @@ def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figu
     axes = figure.add_subplot(xlabel=keys[0], ylabel=head)
     curves = dict[str, list[dict[str, Any]]]()
     for row in points:
-        curves.setdefault(", ".join(f"{key} {row[key]}" for key in keys[1:]), []).append(row)
+        curves.setdefault(", ".join(_stated(key, row[key]) for key in keys[1:]), []).append(row)
     for (label, curve), (colour, style_of_line) in zip(curves.items(), cycle(STYLES)):
         xs = [row[keys[0]] for row in curve]
         line = style_of_line
