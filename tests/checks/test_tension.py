@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -126,7 +127,8 @@ def route_at_end(motion: Motion) -> Array:
     )
     onward = np.roll(vertices, -1, axis=0)
     parts = drones[0::2] - vertices, onward - vertices, drones[1::2] - onward
-    return np.sum(np.linalg.norm(parts, axis=-1), axis=0)
+    routes: Array = np.sum(np.linalg.norm(parts, axis=-1), axis=0)
+    return routes
 
 
 def hanging_tension(route: float, cable: float, density: float) -> float:
@@ -135,7 +137,7 @@ def hanging_tension(route: float, cable: float, density: float) -> float:
 
     def excess(tension: float) -> float:
         half = 0.5 * weight * route / tension
-        return route * np.sinh(half) / half - cable
+        return route * math.sinh(half) / half - cable
 
     return float(brentq(excess, 0.01 * weight * cable, 1e4 * weight * cable))
 
