@@ -12,7 +12,10 @@ import pytest
 from click.testing import CliRunner
 
 import hitchopt as ho
-from hitchopt.checks import certify
+from hitchopt.checks import certify, stops
+from hitchopt.checks.drones import LIMITS, Drones
+from hitchopt.checks.registry import RULES
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
 from hitchopt.checks.stops import ClockLimits, stop_table
 from hitchopt.cli import main
 from hitchopt.motion.motion import Motion
@@ -51,7 +54,7 @@ def stop(start: float, duration: float, sense: float = 1.0) -> ClockPhases:
 def flown(motion: Motion, clock: ClockPhases, count: int = 200) -> dict[str, float]:
     """The largest acceleration, jerk, thrust and tilt over their limits, sampled on a clock.
 
-    And the largest turning rate of a thrust [rad/s].
+    And the largest turning rate of a thrust [rad/s], and rate of one [N/s].
     """
     limits, mass = motion.requirements.limits, motion.team.mass[:, None]
     steps = [np.linspace(0.0, duration, count) for duration in clock.duration]
@@ -71,6 +74,7 @@ def flown(motion: Motion, clock: ClockPhases, count: int = 200) -> dict[str, flo
         "thrust": size / motion.team.max_thrust,
         "tilt": np.arctan2(level, thrust[..., 2]) / limits.tilt,
         "turning": np.linalg.norm(np.cross(thrust, rate), axis=-1) / size**2,
+        "rate": np.linalg.norm(rate, axis=-1),
     }
     return {name: float(np.max(values, initial=0.0)) for name, values in result.items()}
 
@@ -116,6 +120,30 @@ def test_a_limit_just_below_its_largest_sample_is_refused(name: str, sense: floa
             assert bool(result[0]) == requirements
 
 
+def rate_of_thrust(limit: float) -> CheckRule:
+    """Return the record of a limit that only its formula knows [N/s]."""
+    formula = WorstOverSpans(Drones, lambda spans: spans.jets.thrust.rate.norm_upper, "max", 0.0)
+    return CheckRule("rate", "N/s", "max", limit, (Evaluator(formula),), derivative=3)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_clock_keeps_a_limit_by_its_record(sense: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = freed(motion_of(), "rate", 1.0)
+    for clock, largest in clocks(sense):
+        for factor, is_kept in ((1.0 - 1e-8, False), (1.05, True)):
+            monkeypatch.setattr(stops, "OTHERS", (rate_of_thrust(factor * largest["rate"]),))
+            assert bool(ClockLimits(ho.Flight.of(free)).keep(clock, 1)[0]) is is_kept
+
+
+def test_what_clocks_may_break_is_a_limit_of_drones() -> None:
+    """Limits of other bodies would need their spans on clocks."""
+    for rule in RULES:
+        formulas = [each.evaluate for each in rule.evaluators]
+        if rule.derivative >= 2:
+            assert rule in LIMITS
+            assert all(x.spans is Drones for x in formulas if isinstance(x, WorstOverSpans))
+
+
 def test_stops_of_the_table_keep_all_limits_and_the_report_is_the_longest_wait() -> None:
     motion = motion_of()
     table = stop_table(ho.Flight.of(motion))
@@ -125,7 +153,7 @@ def test_stops_of_the_table_keep_all_limits_and_the_report_is_the_longest_wait()
         clock = stop(start, duration)
         np.testing.assert_allclose(clock.ends[-1, :2], [start + 0.5 * duration, 0.0], atol=1e-12)
         shares = flown(motion, clock)
-        del shares["turning"]  # which has no limit
+        del shares["turning"], shares["rate"]  # which have no limits
         assert max(shares.values()) <= 1.0 + 1e-9
     waits = []
     for time in np.linspace(0.0, motion.duration, 500)[:-1].tolist():
