@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from hitchopt.checks import (
     arena,
     cables,
@@ -85,3 +87,13 @@ def rules_of(*kinds: Kind) -> tuple[CheckRule, ...]:
 def distances_of(*kinds: Kind) -> tuple[CheckRule, ...]:
     """Return the rules of distances between bodies of these kinds."""
     return tuple(rule for rule in RULES if any(set(pair) <= set(kinds) for pair in rule.pairs))
+
+
+def distances_from(*kinds: Kind) -> tuple[CheckRule, ...]:
+    """Return the rules of distances of any body from one of these kinds."""
+    return tuple(rule for rule in RULES if any(set(pair) & set(kinds) for pair in rule.pairs))
+
+
+def names_of(rules: Iterable[Quantity]) -> frozenset[str]:
+    """Return the names of rules."""
+    return frozenset(rule.name for rule in rules)

@@ -11,7 +11,7 @@ import numpy as np
 from hitchopt.checks import Certificate
 from hitchopt.checks.arena import ARENA, nearest_wall
 from hitchopt.checks.linking import DURATION
-from hitchopt.checks.registry import RULES
+from hitchopt.checks.registry import RULES, names_of
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.drones.controllers import Tube, of_same_firmware
 from hitchopt.errors import (
@@ -27,7 +27,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.steps.step import Step
 
-WIDENED = frozenset(rule.name for rule in RULES if rule.pairs)
+WIDENED = names_of(rule for rule in RULES if rule.pairs)
 """Checks of distances that ``limits.tracking`` increases."""
 
 

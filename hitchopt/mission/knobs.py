@@ -10,7 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.registry import RULE_OF_KEY, distances_of
+from hitchopt.checks.registry import (
+    RULE_OF_KEY,
+    distances_of,
+    names_of,
+)
 from hitchopt.errors import Violation
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Limits
@@ -42,7 +46,7 @@ FORCE_CHECKS = checks_relaxed_by("tension")
 DURATION_CHECKS = frozenset({"duration", PLAN_DURATION})
 """Constraints that a faster plan or more time repairs."""
 
-DISTANCE_CHECKS = frozenset(rule.name for rule in distances_of("drones", "cables")) | {
+DISTANCE_CHECKS = names_of(distances_of("drones", "cables")) | {
     "tracking_radius",
     "survivable",
 }

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hitchopt.checks.registry import distances_from, names_of
 from hitchopt.errors import AT_END
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
@@ -59,7 +60,7 @@ def plan_of(
     return replace(task.plan_ending(motion.replaced(phases=phases), end), path=path)
 
 
-OBSTACLE_CHECKS = frozenset({"keep_out", "object_clearance"})
+OBSTACLE_CHECKS = names_of(distances_from("objects"))
 """Checks of obstacles, over or around which hitches and objects fly."""
 
 MAX_DETOURS = 6

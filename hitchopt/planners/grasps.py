@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from hitchopt.checks.grips import GRIP_LIMIT
+from hitchopt.checks.registry import distances_of, names_of
 from hitchopt.errors import InfeasibleError, Violation, rounded_up, violations_at
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -67,7 +68,7 @@ RESERVES = (1.0, 0.5, 0.25)
 LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 """Constraints that only less weight or more capacity satisfies."""
 
-LENGTH_LIMITED = frozenset({"separation", "cable_clearance", "crossing"})
+LENGTH_LIMITED = names_of(distances_of("drones", "cables"))
 """Constraints of a loaded hold that longer cables may satisfy, or shorter ones."""
 
 LIGHT = 1e-3

@@ -10,7 +10,11 @@ from typing import Literal
 
 import numpy as np
 
-from hitchopt.checks.registry import RULES
+from hitchopt.checks.registry import (
+    RULES,
+    distances_from,
+    names_of,
+)
 from hitchopt.errors import OneLine
 from hitchopt.geometry import Outline
 from hitchopt.hitch.pairs import FIXED
@@ -29,7 +33,7 @@ PLAN_DURATION = "plan duration"
 @cache
 def checks_relaxed_by(by: Literal["length", "time", "tension"]) -> frozenset[str]:
     """Return the checks relaxed by larger lengths, longer times or lower tensions."""
-    return frozenset(rule.name for rule in RULES if rule.ease == by)
+    return names_of(rule for rule in RULES if rule.ease == by)
 
 
 @dataclass(frozen=True)
@@ -91,9 +95,7 @@ class Knob:
         return (Edit(self.key, value),) if self.make_edits is None else self.make_edits(value)
 
 
-ALTITUDE_CHECKS = frozenset(
-    rule.name for rule in RULES if any(not FIXED.isdisjoint(pair) for pair in rule.pairs)
-) | {"tracking_radius", "survivable"}
+ALTITUDE_CHECKS = names_of(distances_from(*FIXED)) | {"tracking_radius", "survivable"}
 """Constraints that another altitude may repair."""
 
 

@@ -12,7 +12,11 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.registry import (
+    RULE_OF,
+    distances_of,
+    names_of,
+)
 from hitchopt.errors import InfeasibleError, InputError, RequestError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -355,7 +359,7 @@ MAX_TIME = 1e5
 MIN_STRETCH = 1e-3
 """[m] Minimum distance of two points without times; a smooth path cannot turn within less."""
 
-LEG_CHECKS = frozenset({"separation", "cable_clearance", "crossing", "legs"})
+LEG_CHECKS = names_of(distances_of("drones", "cables", "vertices"))
 """Limits that legs may keep if they roll on a path."""
 
 RIGHT_ANGLE = 1e-9
