@@ -19,6 +19,7 @@ from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.settings import Preset, Settings
 from hitchopt.lab.simulation.task import TeamTask
+from hitchopt.motion.motion import CableState
 from hitchopt.values import Array
 
 # Largest ratio of the time step to the time in which a transverse wave passes a segment
@@ -314,6 +315,26 @@ def thickness_allowance(task: TeamTask, diameter: float, segment: float) -> Arra
     return allowance
 
 
+def clasped_shares(task: TeamTask) -> Array:
+    """Return the shares of the ``thickness_allowance`` that ropes have at each sample (samples,).
+
+    It is all of it, except in plans that bend cables around an object: there these are taut before
+    they clasp, and would sag by centimetres more on their way to the object. The bends appear, and
+    vanish, as pairs roll.
+    """
+    phases = [] if task.motion is None else task.motion.phases
+    if all(phase.state is not CableState.BENT for phase in phases):
+        return np.ones(len(task.states.t))
+    clasped = [float(phase.state is CableState.HITCHED) for phase in phases]
+    before, after = [clasped[0], *clasped[:-1]], [*clasped[1:], clasped[-1]]
+    times, shares = list[float](), list[float]()
+    for k, phase in enumerate(phases):
+        rolls = phase.state is CableState.ROLLING
+        times += [phase.start, phase.end]
+        shares += [before[k], after[k]] if rolls else [clasped[k], clasped[k]]
+    return np.interp(task.states.t, times, shares)
+
+
 def bends_about(task: TeamTask, diameter: float, segment: float, cable: int) -> Array:
     """Return the ``bend_lengths`` of other cables about one of them (n,) [m]."""
     layout, allowance = task.team.layout, np.zeros(task.team.robots)
@@ -330,7 +351,7 @@ def bend_lengths(task: TeamTask, diameter: float, segment: float) -> Array:
     line follows a circle with a radius of one diameter, whose far side is half a diameter from the
     vertex. It is ``(π - φ - cos(φ/2))`` diameters longer than the plan's sharp bend. A chain of
     segments needs another ``COARSENESS · segment²/diameter · cos(φ/2)``. Values are means over the
-    time with a hitch, or with a carried object, which short ropes would grip harder.
+    time with a carried object, which short ropes would grip harder, or else with a hitch.
     """
     layout = task.team.layout
     if not task.states.formed.any():
@@ -346,12 +367,14 @@ def bend_lengths(task: TeamTask, diameter: float, segment: float) -> Array:
 def _edge_ends(task: TeamTask) -> tuple[Array, Array]:
     """Return unit vectors (samples, n, 3) along edges at both ends, see ``bend_lengths``."""
     layout, motion = task.team.layout, task.motion
-    carrying = task.states.formed & np.any(task.cargo.carried, axis=-1)
-    if motion is None or not motion.has_wraps or not carrying.any():
-        straight = unit(layout.edges(task.states.vertices[task.states.formed]))
+    formed = task.states.formed
+    if motion is None or not motion.has_wraps:
+        straight = unit(layout.edges(task.states.vertices[formed]))
         return straight, straight
-    vertices = task.states.vertices[carrying]
-    times = np.clip(task.states.t[carrying], *motion.contacts.breaks[[0, -1]])
+    carrying = formed & np.any(task.cargo.carried, axis=-1)
+    counted = carrying if carrying.any() else formed
+    vertices = task.states.vertices[counted]
+    times = np.clip(task.states.t[counted], *motion.contacts.breaks[[0, -1]])
     first, last = np.moveaxis(motion.contacts.at(times), 2, 0)
     return unit(first - vertices[:, layout.starts]), unit(vertices[:, layout.ends] - last)
 
