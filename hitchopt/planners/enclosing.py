@@ -104,19 +104,20 @@ def certified_plan(planner: Planner, task: StepTask) -> StepPlan:
     return require_certified(planner(task))
 
 
-def first_orientation(planners: Sequence[Planner], task: StepTask) -> StepPlan:
-    """Return the first certified plan of several orientations, or the plan of the only one."""
+def first_plan(name: str, planners: Sequence[Planner], task: StepTask) -> StepPlan:
+    """Return the first certified plan of several planners, or the plan of the only one.
+
+    ``name`` is that of candidates: what planners differ in.
+    """
     if len(planners) == 1:
         return planners[0](task)
-    orientations = (
-        Candidate("orientation", partial(certified_plan, planner, task)) for planner in planners
-    )
-    return first_certified(orientations, task.effort, task.progress)
+    candidates = (Candidate(name, partial(certified_plan, each, task)) for each in planners)
+    return first_certified(candidates, task.effort, task.progress)
 
 
 def enclosing_plan(task: StepTask, name: str, duration: float | None) -> StepPlan:
     """Return the plan of a hitch around an object, in the first feasible orientation."""
-    return first_orientation(enclosing_planners(task, name, duration), task)
+    return first_plan("orientation", enclosing_planners(task, name, duration), task)
 
 
 def enclosing_planners(task: StepTask, name: str, duration: float | None = None) -> list[Planner]:

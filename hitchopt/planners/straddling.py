@@ -14,13 +14,14 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.holds import GripHold
-from hitchopt.planners.carrying.planner import tying_tension
+from hitchopt.planners.carrying.planner import untying_tensions
 from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.planners.carrying.straddle_planner import (
     MAX_TURN,
     StraddlePlanner,
     find_straddle,
 )
+from hitchopt.planners.enclosing import first_plan
 from hitchopt.planners.forming.stages import Keyframe, reversed_stages, straight_stages
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.planners.tying import approach_motion
@@ -59,14 +60,28 @@ def tied_around(task: StepTask, name: str, height: float, tying: Array, tension:
 
 
 def untied(task: StepTask) -> StepPlan:
-    """Return the plan that unties two cables from an object, until they hang next to it."""
-    held = task.held
+    """Return the plan that unties two cables from an object, until they hang next to it.
+
+    Their tension is so low that they leave the object where it stands, if such a plan is certified.
+    """
+    hold = replace(task.held.grip, body=task.held.body)
+    planners = [
+        partial(_untied_with, hold=hold, tension=tension) for tension in untying_tensions(hold)
+    ]
+    return first_plan("tension", planners, task)
+
+
+def _untied_with(task: StepTask, hold: GripHold, tension: float) -> StepPlan:
+    """Return the plan that opens a grip and unties its cables with a tension [N]."""
+    state = task.held.state
     requirements = task.requirements
-    team = task.before.team
-    tension = np.full(team.robots, tying_tension(team))
-    hold = replace(held.grip, body=held.body)
-    planner = find_straddle(held.state.object, hold, tension, requirements, task.index)
-    loosened = planner.from_state(tension=held.state.tension).open_grip(tension, "loosen")
+    tensions = np.full(hold.team.robots, tension)
+    planner = find_straddle(state.object, hold, tensions, requirements, task.index)
+    loosened = planner.from_state(tension=state.tension).open_grip(tensions, "loosen")
+    largest = planner.path.hold.standing_tension
+    if tension > largest:
+        remark = f"above {largest:.2g} N, one cable alone could drag {state.object}"
+        loosened = StepPlan(loosened, task.before).with_remark(remark).motion
     motion = concatenated([loosened, *reversed_stages(planner.stages())])
     after = replace(
         task.before,

@@ -23,7 +23,7 @@ from hitchopt.planners.carrying.planner import LIFT_SPEED
 from hitchopt.planners.enclosing import (
     enclosing_plan,
     enclosing_planners,
-    first_orientation,
+    first_plan,
     gripping_plan,
     leaving_plan,
     loosening_plan,
@@ -363,7 +363,7 @@ class TransportObject(TensionStep):
         else:
             around = enclosing_planners(task, self.object)
             holds = [partial(plan_in_sequence, [enclose, grasp.plan]) for enclose in around]
-            taking = partial(first_orientation, holds)
+            taking = partial(first_plan, "orientation", holds)
         return plan_in_sequence([taking, *(step.plan for step in carrying), *leaving], task)
 
     def _check_goal(self, task: StepTask, above: Array) -> None:

@@ -22,6 +22,7 @@ from hitchopt.checks.tracking import DRAWING_SPEED
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import Violation
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.holding import Grip, grip_capacity
@@ -38,7 +39,7 @@ from hitchopt.planners.carrying.hinge import (
     needed_height,
 )
 from hitchopt.planners.carrying.holds import GripHold
-from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_violated
+from hitchopt.planners.carrying.planner import MAX_PUSH, GraspState, MovePlanner, first_violated
 from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps
 from hitchopt.planners.carrying.straddle_planner import BESIDE, find_straddle
 from hitchopt.steps.straddling import Tie
@@ -509,6 +510,26 @@ def test_edges_that_turn_a_standing_crate_are_counted() -> None:
     assert push >= abs(grip.imbalance[2]) / crate.friction_radius > 0.1
     wide = np.array([[0.3, 0.0], [-0.3, 0.0]])
     assert GripHold.tied(team, body, wide, 0.3).largest_push(np.full(2, 0.5)) < 1e-9
+
+
+def test_cables_are_untied_so_weakly_that_one_alone_does_not_move_what_stands() -> None:
+    """Its pull would tip a cup of 8 g before friction lets it slide."""
+    cables = {"robots": 2, "cable_length": 2.4, "cable_density": 0.001, "tension": 0.12}
+    cup = {"circle": 0.08, "to": 0.3, "mass": 0.008, "friction": 0.5}
+    mission = [{"tie": {"around": "drum", "at": 0.26}}, {"untie": {}}]
+    plan = ho.solve(problem(mission, cup, **cables, quadrotor={"mass": 0.0393, "max_thrust": 0.8}))
+    assert plan.certificate.certified
+    motion = plan.motion
+    phases = {phase.name: phase for phase in motion.phases}
+    assert phases["straddle"].tension == pytest.approx((0.12, 0.12))
+    assert phases["unstraddle"].tension == phases["unroll"].tension
+    opened = phases["unroll"].start
+    contacts, vertices = motion.contacts.at(opened)[0], motion.vertices.at(opened)
+    before, behind = unit(contacts[0] - vertices[0]), unit(vertices[1] - contacts[1])
+    pull = float(np.max(motion.tensions.at(opened))) * np.linalg.norm(behind - before)
+    tips = cup["mass"] * GRAVITY * cup["circle"] / 0.26
+    assert pull == pytest.approx(MAX_PUSH * tips, rel=0.02)
+    assert tips < cup["friction"] * cup["mass"] * GRAVITY
 
 
 @pytest.mark.parametrize("name", ["draw", "loosen"])

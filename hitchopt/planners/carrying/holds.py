@@ -9,6 +9,7 @@ where edges bend, without friction.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -466,6 +467,23 @@ class GripHold(HoldingHitch):
         moments = cross(arms[..., 1, :], wraps.arriving) - cross(arms[..., 0, :], wraps.leaving)
         turning = np.sum(tension * moments, axis=-1) / section.friction_radius
         return float(np.max(np.hypot(length(forces), turning)))
+
+    @property
+    def standing_tension(self) -> float:
+        """Largest tension [N] with which no single cable around the standing object moves it.
+
+        Where drones are off, one cable may pull while the others are slack. Its pull drags the
+        object against friction with the support, or tips it about the edge of its foot.
+        """
+        body = self.body
+        if body.fixed:
+            return math.inf
+        section = body.section
+        wraps = wraps_around(section, self.around)
+        largest_pull = float(np.max(length(wraps.arriving - wraps.leaving)))  # over the tension
+        foot = -float(section.clearance(section.centroid)[0])
+        steepest = min(body.friction, foot / (self.height - body.lower))
+        return body.mass * GRAVITY * steepest / largest_pull
 
     @property
     def opened(self) -> GripHold:

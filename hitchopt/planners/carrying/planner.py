@@ -514,8 +514,8 @@ class MovePlanner:
         reduced = tension * min(1.0, limit / push)
         lowest = np.maximum(np.minimum(low, reduced), np.minimum(tension, MIN_TENSION))
         candidates: tuple[Array, ...] = (tension, np.maximum(low, reduced), lowest)
-        if opened is not None:
-            candidates = (low, high, opened, lowest)
+        if opened is not None:  # no higher than needed around an object that stands again
+            candidates = (np.minimum(low, opened), low, high, opened, lowest)
         rounded_limit = limit * (1.0 + 1e-9)
         tensions = [
             candidate for candidate in candidates if hold.largest_push(candidate) <= rounded_limit
@@ -556,11 +556,38 @@ MIN_TENSION = 0.15
 is smaller."""
 
 
+MAX_LOOSENED_SLOPE = 0.2
+"""The same of cables that are untied from an object that they would drag. At 0.22 the computed
+length of some of 1.5 g/m errs by more than ``cable_length`` allows."""
+
+UNTYING_TENSIONS = 4
+"""Number of candidate tensions below the usual one, with which cables are untied."""
+
+
+def _weight_at_clasp(team: Team) -> float:
+    """Return the weight [N] of a cable's quarter."""
+    return 0.25 * GRAVITY * team.cable_density * float(np.max(team.cable_length))
+
+
 def tying_tension(team: Team) -> float:
     """Return the tension [N] with which cables are tied if the problem states none."""
-    weight_at_clasp = 0.25 * GRAVITY * team.cable_density * float(np.max(team.cable_length))
-    tension = max(weight_at_clasp / MAX_SLOPE, MIN_TENSION)
+    tension = max(_weight_at_clasp(team) / MAX_SLOPE, MIN_TENSION)
     return min(tension, float(np.min(team.tension)))
+
+
+def untying_tensions(hold: GripHold) -> list[float]:
+    """Return tensions [N] with which cables are untied from a standing object, in order of trial.
+
+    The first one leaves the object standing even if one cable alone pulls, where the cables' weight
+    permits that low a tension.
+    """
+    usual = tying_tension(hold.team)
+    lowest = _weight_at_clasp(hold.team) / MAX_LOOSENED_SLOPE
+    gentle = max(MAX_PUSH * hold.standing_tension, lowest)
+    if gentle >= usual:
+        return [usual]
+    shares = np.arange(UNTYING_TENSIONS + 1) / UNTYING_TENSIONS
+    return [float(tension) for tension in gentle ** (1.0 - shares) * usual**shares]
 
 
 TILT_RESERVE = 5.0
