@@ -516,7 +516,7 @@ def test_cables_are_untied_so_weakly_that_one_alone_does_not_move_what_stands() 
     """Its pull would tip a cup of 8 g before friction lets it slide."""
     cables = {"robots": 2, "cable_length": 2.4, "cable_density": 0.001, "tension": 0.12}
     cup = {"circle": 0.08, "to": 0.3, "mass": 0.008, "friction": 0.5}
-    mission = [{"tie": {"around": "drum", "at": 0.26}}, {"untie": {}}]
+    mission: list[dict[str, Any]] = [{"tie": {"around": "drum", "at": 0.26}}, {"untie": {}}]
     plan = ho.solve(problem(mission, cup, **cables, quadrotor={"mass": 0.0393, "max_thrust": 0.8}))
     assert plan.certificate.certified
     motion = plan.motion
