@@ -216,8 +216,9 @@ class CheckRule(Quantity):
     """The suggested change without a hitch, if different."""
 
     ease: str = ""
-    """The kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of
-    legs) or ``tension`` (lower, or less weight); empty for none."""
+    """The kind of change that repairs try: ``time`` (slower or shorter motion, to which planners
+    slow down by themselves), ``length`` (of legs) or ``tension`` (lower, or less weight); empty for
+    none."""
 
     bodies: tuple[Bodies, ...] = ()
     """Kinds of the bodies that it limits, alone or in pairs that keep a distance. Tables of

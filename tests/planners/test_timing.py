@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import hitchopt as ho
 from hitchopt import Hitch, Limits, Separation, Team
 from hitchopt.checks.drones import Drones
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
@@ -277,6 +277,14 @@ def test_a_limit_is_planned_for_by_its_record(
     assert kept.holds
     assert not without.holds
     assert kept.worst > 0.95 * limit
+
+
+def test_limits_that_slower_motion_keeps_are_of_what_decreases_with_it() -> None:
+    """By the order of the derivative that each record states, the search of a stretch ends."""
+    for rule in RULES:
+        if rule.ease == "time":
+            assert rule.sense == "max"
+            assert rule.derivative >= 1
 
 
 def test_a_flight_with_the_needed_stretch_just_keeps_its_limit() -> None:
