@@ -262,7 +262,9 @@ def of_both(motion: Motion, folder: Path, name: str) -> tuple[float, list[verify
     return certify(motion, reports=())[name].worst, rows
 
 
-@pytest.mark.parametrize("name", ["cable_length", "equilibrium"])
+@pytest.mark.parametrize(
+    "name", ["cable_length", pytest.param("equilibrium", marks=pytest.mark.slow)]
+)
 def test_both_say_the_same_of_cables_tied_with_more_than_the_team_s_tension(
     name: str, tmp_path: Path
 ) -> None:

@@ -57,7 +57,7 @@ def proven(motion: Motion, folder: Path) -> bool:
         ([0.6, 0.0, 2.25], [0.4, 0.0, 2.3], True),
     ],
 )
-@pytest.mark.parametrize("upper_first", [True, False])
+@pytest.mark.parametrize("upper_first", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_cables_do_not_rise_past_their_own_lower_drone(
     first: list[float], last: list[float], *, holds: bool, upper_first: bool, tmp_path: Path
 ) -> None:

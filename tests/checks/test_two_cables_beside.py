@@ -181,7 +181,11 @@ NEAR = (np.array([0.9, -0.4, 0.8]), 4.0)
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(lambda x: transformed(x, 0.0, np.array([7.0, -5.0, 2.0])), id="moved"),
+        pytest.param(
+            lambda x: transformed(x, 0.0, np.array([7.0, -5.0, 2.0])),
+            id="moved",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(lambda x: transformed(x, 1.1, np.zeros(3)), id="turned"),
         pytest.param(lambda x: transformed(x, 0.0, np.zeros(3), mirror=True), id="mirrored"),
         pytest.param(lambda x: shifted(x, 2.5), id="later"),

@@ -188,7 +188,11 @@ TURN = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
 @pytest.mark.parametrize(
     "matrix", [np.eye(3), TURN, np.diag([-1.0, 1.0, 1.0])], ids=["shift", "turn", "mirror"]
 )
-@pytest.mark.parametrize("case", PLANS, ids=lambda case: f"{case[1]}-{case[0]}")
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=() if case[0] == 3 else pytest.mark.slow) for case in PLANS],
+    ids=lambda case: f"{case[1]}-{case[0]}",
+)
 def test_errors_do_not_depend_on_place_and_heading(case: Case, matrix: Array) -> None:
     motion = with_errors(plan(*case).motion, WITH_FRICTION)
     other = moved(motion, matrix, np.array([3.0, -5.0, 0.4]))

@@ -407,8 +407,10 @@ def test_other_plans_than_requested_are_refused_by_key(
     "lie",
     [
         "a = r['assignment']['robots']; a[0], a[1] = a[1], a[0]",
-        "r['assignment']['flipped'][2] ^= True",
-        "r['assignment'] = None",
+        *(
+            pytest.param(lie, marks=pytest.mark.slow)
+            for lie in ("r['assignment']['flipped'][2] ^= True", "r['assignment'] = None")
+        ),
     ],
 )
 def test_other_places_than_those_of_the_drones_are_refused_by_both(

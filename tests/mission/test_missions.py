@@ -109,8 +109,14 @@ def test_a_blend_that_cannot_be_flown_stops_where_it_has_to_and_says_so() -> Non
         ho.solve(mission(outward, replace(back, by=np.array([0.9, 0.0]))))
 
 
-@pytest.mark.parametrize("turn", [0.4, -2.0])
-@pytest.mark.parametrize("seconds", [1.0, 6.0])
+@pytest.mark.parametrize(
+    ("turn", "seconds"),
+    [
+        (-2.0, 6.0),
+        (0.4, 1.0),
+        *(pytest.param(*x, marks=pytest.mark.slow) for x in ((0.4, 6.0), (-2.0, 1.0))),
+    ],
+)
 def test_transports_blend_and_take_their_duration_at_least(turn: float, seconds: float) -> None:
     """The whole flight is slowed down until the transport takes as long."""
     goal = np.array([2.2, 2.2, 1.5])

@@ -131,8 +131,10 @@ def test_a_hitch_with_a_pillar_among_its_legs_rises_first(tmp_path: Path) -> Non
     assert is_proven(plan, tmp_path)
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.8, math.pi / 2.0])
-@pytest.mark.parametrize("place", [[2.0, 0.0, 0.0], [2.2, 0.7, 0.9]])
+@pytest.mark.parametrize(
+    ("tilt", "place"),
+    [(0.0, [2.0, 0.0, 0.0]), (0.8, [2.2, 0.7, 0.9]), (math.pi / 2.0, [2.2, 0.7, 0.9])],
+)
 def test_free_offsets_keep_the_distances(tilt: float, place: list[float]) -> None:
     """The distance of cables and drones is sampled; of blocked offsets it is not much larger."""
     outline = [[-0.3, -0.1], [-0.1, 0.2], [0.3, 0.1], [0.1, -0.3]]

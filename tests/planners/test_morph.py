@@ -164,9 +164,10 @@ def test_rows_of_corners_are_derivatives() -> None:
     assert lowest[0] > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robots", "edge", "bound"),
-    [pytest.param(10, 0.34, 4.7, marks=pytest.mark.slow), (12, 1.3, 12.2)],
+    [(10, 0.34, 4.7), (12, 1.3, 12.2)],
 )
 def test_half_turns_of_regular_polygons(robots: int, edge: float, bound: float) -> None:
     """Guesses are perturbed, without which the 12-gon takes 13 s, or tight ones not: the 10-gon."""

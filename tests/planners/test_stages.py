@@ -260,7 +260,10 @@ def distance_from(path: ho.Path, motion: ho.Motion) -> float:
     return max(float(np.min(distances)) for distances in to_shapes)
 
 
-@pytest.mark.parametrize(("amplitude", "waves"), [(0.05, 2), (0.004, 60), (0.001, 128)])
+@pytest.mark.parametrize(
+    ("amplitude", "waves"),
+    [(0.05, 2), (0.004, 60), pytest.param(0.001, 128, marks=pytest.mark.slow)],
+)
 def test_motions_follow_paths_that_sway(amplitude: float, waves: int) -> None:
     path = ho.Path.of(ho.Team(3, 2.4), turning_triangle(amplitude, waves))
     motion = ho.time(path)

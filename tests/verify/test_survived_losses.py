@@ -43,7 +43,8 @@ def rows_of(folder: Path) -> dict[str, Row]:
 
 
 @pytest.mark.parametrize(
-    ("robots", "length", "density"), [(3, 2.4, 0.0), (3, 2.5, 0.005), (5, 2.0, 0.0)]
+    ("robots", "length", "density"),
+    [(3, 2.4, 0.0), (3, 2.5, 0.005), pytest.param(5, 2.0, 0.0, marks=pytest.mark.slow)],
 )
 def test_both_prove_that_losses_are_survived(
     robots: int, length: float, density: float, tmp_path: Path
