@@ -18,7 +18,7 @@ import hitchopt as ho
 from benchmarks.flights import irregular, success
 from benchmarks.measuring import PROBLEMS, Table, parser, timed
 from hitchopt.lab.simulation.judgement import CampaignRun
-from hitchopt.mission.problem import DronesStart
+from hitchopt.mission.starts import DronesStart
 from hitchopt.steps.moving import Hold
 from hitchopt.steps.tying import Form
 

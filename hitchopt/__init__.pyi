@@ -35,8 +35,8 @@ from hitchopt.mission.cache import Cache as Cache
 from hitchopt.mission.loading import load_problem as load_problem
 from hitchopt.mission.loading import problem_from_dict as problem_from_dict
 from hitchopt.mission.others import Other as Other
-from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as HitchStart
 from hitchopt.mission.problem import Problem as Problem
+from hitchopt.mission.starts import DronesStart as DronesStart, HitchStart as HitchStart
 from hitchopt.motion.flight import Flight as Flight
 from hitchopt.motion.motion import Motion as Motion
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject

@@ -21,9 +21,10 @@ from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
 from hitchopt.mission.cache import Cache
 from hitchopt.mission.others import Other
-from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
+from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
+from hitchopt.mission.starts import DronesStart, HitchStart, Start
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.request import check_request
 from hitchopt.objects import SolidObject

@@ -22,7 +22,8 @@ from hitchopt.errors import (
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
 from hitchopt.mission.changes import Change, in_step, quadrotor_keys, with_edits
-from hitchopt.mission.problem import HitchStart, Problem
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.starts import HitchStart
 from hitchopt.objects import Rim
 from hitchopt.planners.ends import RolledLegs
 from hitchopt.steps.hitch_step import ShapeStep

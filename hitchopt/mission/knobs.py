@@ -19,7 +19,8 @@ from hitchopt.errors import Violation
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.changes import constraint_name, in_step, quadrotor_keys
-from hitchopt.mission.problem import DronesStart, HitchStart, Problem
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.starts import DronesStart, HitchStart
 from hitchopt.steps.knob import (
     DECIMALS,
     PLAN_DURATION,

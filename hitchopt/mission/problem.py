@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
-
-import numpy as np
+from typing import Annotated, Any, Literal, NamedTuple
 
 from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.registry import NAMES, RULE_OF_KEY
 from hitchopt.drones.quadrotor import quadrotors
-from hitchopt.errors import Circumstance, InputError, Missing, UnitWarning
+from hitchopt.errors import Circumstance, InputError, Missing
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
-from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_error
 from hitchopt.hitch.requirements import (
     Arena,
     Limits,
@@ -25,30 +22,27 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
-from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, Assignment
+from hitchopt.hitch.team import MAX_DRONES, Assignment
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import MAX_TEAMS, NAME, OTHERS, Other
+from hitchopt.mission.starts import DronesStart, HitchStart, resolved_start, words_of
+from hitchopt.mission.step_order import resolved_steps
 from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
-from hitchopt.planners.ends import SlackSplit
-from hitchopt.steps import STEP_KINDS, STEPS
-from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
-from hitchopt.steps.keys import LEGS, LEGS_TEXT, TRIANGLE, Legs, Polygon, shown_legs, slack_split
-from hitchopt.steps.step import Stage, Step
-from hitchopt.steps.tying import Form, check_rollable
+from hitchopt.steps import STEP_KINDS
+from hitchopt.steps.flying import SWARM_PLACES, Fly
+from hitchopt.steps.keys import TRIANGLE, shown_legs
+from hitchopt.steps.step import Step
+from hitchopt.steps.tying import Form
 from hitchopt.values import (
-    Array,
     ByValue,
-    Points,
     check_instance,
     closest_word,
     sequence,
-    text,
 )
 from hitchopt.values.fields import (
     Key,
-    Record,
     by_key,
     collect,
     dict_of,
@@ -59,225 +53,10 @@ from hitchopt.values.fields import (
     list_of,
     mapping_of,
     one_or_each,
-    points,
     single_key,
     store,
     titles,
 )
-from hitchopt.values.units import ALTITUDE, warn_of_unit
-
-
-def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
-    """Return steps with their polygons as outlines and their legs as arrays.
-
-    Raises InputError, with a key from ``mission`` on, for a step that does not fit the team, the
-    outline, the held object or the next step.
-    """
-    whole = mission.team
-    steps = mission.steps
-    objects = mission.requirements.objects
-    outline = mission.start_outline
-    resolved = list[Step]()
-    stage = _ObjectStage()
-    reason = "start has no hitch" if outline is None else "start is a hitch"
-    for i, unresolved in enumerate(steps):
-        try:
-            if unresolved.of_single_drones is whole.has_cables:
-                expected = words_of(whole)
-                other = Circumstance(f"{mission.name or 'this'} is {expected.kind}")
-                raise InputError("", other, expected.step, f"use {expected.step}")
-            is_two = whole.layout.closed and whole.robots == 2
-            if is_two and not unresolved.of_two_robots:
-                names = ", ".join(kind.name for kind in STEPS if kind.of_two_robots)
-                bound = f"one of {names}, the steps of two robots"
-                other = Circumstance("it takes three robots or more")
-                remedy = f"two cables can only hold an object: use {bound}"
-                raise InputError("", other, bound, remedy)
-            step = unresolved.resolved_for(whole)
-            stage = stage.after(step, objects)
-            before = outline
-            outline = step.checked_polygon_after(whole, outline, reason)
-            if step.rolls_pairs:
-                check_rollable(f"step {i} ({step.name})", whole)
-            if (before is None) is not (outline is None):
-                reason = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
-            _check_blend(steps, i)
-        except InputError as error:
-            raise error.within(f"mission[{i}].{unresolved.name}") from None
-        resolved.append(step)
-    return tuple(resolved)
-
-
-class TeamWords(NamedTuple):
-    """Words for a kind of team in errors, and what its start and its steps are."""
-
-    kind: str
-    start: str
-    start_example: str
-    step: str
-    step_example: str
-
-
-ROBOTS = TeamWords(
-    kind="a team of robots",
-    start="a hitch, or drones q and r",
-    start_example="{hitch: {polygon: [[x, y], …], altitude: 1}}",
-    step="a step of a team of robots",
-    step_example="hold: {seconds: 1}",
-)
-SINGLE_DRONES = TeamWords(
-    kind="a team of single drones",
-    start="a list of positions [x, y, z], one per drone",
-    start_example="[[x, y, z], …]",
-    step="fly, the only step of single drones",
-    step_example="fly: {goal: …}",
-)
-
-
-def words_of(team: Team) -> TeamWords:
-    """Return the words for a team."""
-    return ROBOTS if team.has_cables else SINGLE_DRONES
-
-
-@dataclass(frozen=True)
-class _ObjectStage:
-    """Stage of a hitch with an object, by name, and whether the file specifies its outline."""
-
-    stage: Stage = Stage.FREE
-    name: str = ""
-    outline_specified: bool = True
-
-    def after(self, step: Step, objects: Mapping[str, SolidObject]) -> _ObjectStage:
-        """Return the stage after a step; raise InputError if the step is not allowed."""
-        name = text("object", self.name if step.object_name is None else step.object_name)
-        if name and name not in objects:
-            bound = f"one of objects: {', '.join(objects) or 'there are none'}"
-            remedy = closest_word(name, [*objects], "add it to objects")
-            raise InputError(step.object_key, name, bound, remedy)
-        if step.stages is None:
-            return self
-        begin, end = step.stages
-        if self.stage is not begin:
-            kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
-            remedy = f"{kinds} an object, in this order; two robots tie, lift, carry, "
-            remedy += "set_down and untie"
-            current = str(self.stage)
-            required = str(begin)
-            if Stage.OPEN in (self.stage, begin):
-                remedy, tied = "open_vertex, then hold or close_vertex", "no open vertex"
-                current, required = (x.replace(Stage.FREE, tied) for x in (current, required))
-            found = Circumstance(f"{step.name} needs {required}, and there is {current}")
-            raise InputError("", found, f"{required}", remedy)
-        if begin is not Stage.FREE and name != self.name:
-            raise InputError(
-                "object", name, f"{self.name}, the one enclosed", "leave that one first"
-            )
-        if not self.outline_specified and step.moves_points:
-            bound = "an outline that the problem states"
-            unstated = Circumstance("the problem does not state the outline around the object")
-            raise InputError("", unstated, bound, "morph first")
-        specified = step.goal_outline is not None
-        specified |= self.outline_specified and step.object_name is None
-        return _ObjectStage(end, "" if end is Stage.FREE else name, specified)
-
-
-def _check_blend(steps: tuple[Step, ...], i: int) -> None:
-    """Raise InputError if step i cannot continue into the next one, or has options of its own."""
-    step = steps[i]
-    following = steps[i + 1 : i + 2]
-    if step.blends and not following:
-        raise InputError("blend", True, "false in the last step", "omit it: nothing follows")
-    if step.blends and following and not following[0].blendable:
-        names = ", ".join(kind.name for kind in STEPS if kind.blendable)
-        remedy = f"omit it: only {names} can be blended into one another"
-        raise InputError("blend", True, f"false before a {following[0].name}", remedy)
-    if step.blends and isinstance(step.settling, float):
-        bound = "omitted: steps settle where they stop"
-        raise InputError("settle", step.settling, bound, "omit settle or blend")
-    is_blended = step.blends or (i > 0 and steps[i - 1].blends)
-    for key in ("optimize", "tension") if is_blended else ():
-        if vars(step).get(key):
-            bound = "omitted: it is not allowed on blended steps"
-            raise InputError(key, vars(step)[key], bound, f"omit {key} or blend")
-
-
-@documented
-@dataclass(frozen=True, eq=False)
-class HitchStart(Record):
-    """A formed hitch, at rest."""
-
-    polygon: Polygon
-    altitude: Annotated[float, Key(ALTITUDE, "Height of the hitch's plane")] = 1.0
-    legs: Annotated[Legs, Key(LEGS, LEGS_TEXT)] = "spread"
-
-    @property
-    def outline(self) -> Outline:
-        """The polygon of a resolved start."""
-        outline: Outline = vars(self)["polygon"]
-        return outline
-
-    @property
-    def split(self) -> SlackSplit:
-        """The slack split of a resolved start."""
-        split: SlackSplit = vars(self)["legs"]
-        return split
-
-    def resolved_for(self, team: Team) -> HitchStart:
-        """Return the start for a team: polygon as an outline, legs as an array."""
-        try:
-            outline = checked_polygon(team, self.polygon)
-            legs = slack_split(self.legs, team)
-        except InputError as error:
-            raise error.within("start.hitch") from None
-        return replace(self, polygon=outline, legs=legs)
-
-
-_PLACES = points((None, 3), "x, y, z", 2, MAX_ROBOTS)
-
-
-@documented
-@dataclass(frozen=True, eq=False)
-class DronesStart(Record):
-    """Drones of a hitch that is to be formed, at rest: hovering, or on the ground."""
-
-    q: Annotated[
-        Array, Key(_PLACES, "Positions (n, 3) [m], [x, y, z] per robot", [[0, 0, 1], [1, 0, 1]])
-    ]
-    r: Annotated[
-        Array, Key(_PLACES, "Positions (n, 3) [m], [x, y, z] per robot", [[0, 1, 1], [1, 1, 1]])
-    ]
-
-    if TYPE_CHECKING:
-
-        def __init__(self, q: Points, r: Points) -> None:
-            """Convert positions to arrays."""
-
-    @property
-    def drones(self) -> Array:
-        """Starts of all drones (2n, 3) [m]: q0, r0, q1, r1, …."""
-        return np.stack([self.q, self.r], axis=1).reshape(-1, 3)
-
-    def resolved_for(self, team: Team) -> DronesStart:
-        """Return the start, or raise InputError for another number of robots.
-
-        Warns of drones that are much farther apart than their cable is long.
-        """
-        for drones, places in vars(self).items():
-            if len(places) != team.robots:
-                key = f"start.drones.{drones}"
-                raise count_error(key, len(places), team.robots, "one per robot")
-        distances = np.linalg.norm(self.q - self.r, axis=1)
-        k = int(np.argmax(distances / team.cable_length))
-        if distances[k] > UNIT_ERROR_RATIO * team.cable_length[k]:
-            words = f"{distances[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
-            remedy = "if millimetres were meant, write metres"
-            warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {remedy}"))
-        return self
-
-
-Start = HitchStart | Hitch | DronesStart
-"""Start with the description of a hitch, with a hitch, or with drones on free cables."""
-
 
 MAX_TITLE = 200  # Maximum number of characters of a title
 MAX_STEPS = 1000  # Maximum number of steps in a file
@@ -322,7 +101,9 @@ class TeamMission:
         if not self.steps:
             bound = "a list of at least one step"
             raise InputError("mission", [], bound, "add a morph or a hold")
-        object.__setattr__(self, "steps", resolved_steps(self))
+        objects = self.requirements.objects
+        steps = resolved_steps(self.name, self.team, self.steps, self.start_outline, objects)
+        object.__setattr__(self, "steps", steps)
 
     @property
     def request(self) -> dict[str, Any]:
@@ -352,32 +133,6 @@ class TeamMission:
         if isinstance(self.start, HitchStart):
             return self.start.outline
         return self.start.polygon if isinstance(self.start, Hitch) else None
-
-
-def resolved_start(name: str, team: Team, start: Any) -> Any:
-    """Return the start; a hitch's polygon becomes an outline and its legs an array.
-
-    Raises InputError, with the key of a problem of this team alone, if it does not fit the team.
-    """
-    is_hitch = isinstance(start, HitchStart | Hitch | DronesStart)
-    if is_hitch is not team.has_cables or isinstance(start, Missing):
-        expected = words_of(team)
-        remedy = f"write {name or 'start'}: {expected.start_example}"
-        raise InputError("start", start, expected.start, remedy)
-    if not team.has_cables:
-        places: Array = SWARM_PLACES.check("start", start)
-        check_count("start", places, team)
-        return places
-    if team.layout.closed and team.robots == 2 and not isinstance(start, DronesStart):
-        key = f"teams.{name}.robots" if name else "team.robots"
-        remedy = "start two robots with drones, and tie their cables around an object"
-        raise InputError(key, 2, "at least 3 if the start is a hitch", remedy)
-    if not isinstance(start, Hitch):
-        return start.resolved_for(team)
-    if start.team is not team:
-        other = Circumstance("the hitch is of another team")
-        raise InputError("start", other, "a hitch of the problem's team", "use its team")
-    return start
 
 
 @dataclass(frozen=True, eq=False)

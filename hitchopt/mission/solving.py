@@ -31,7 +31,8 @@ from hitchopt.mission.advice import (
     with_tracking_advice,
 )
 from hitchopt.mission.cache import Cache, digest
-from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
+from hitchopt.mission.problem import Problem, TeamMission
+from hitchopt.mission.starts import DronesStart, HitchStart
 from hitchopt.mission.teams import CertifiedFlight, schedule_teams
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated

@@ -5,7 +5,8 @@ from __future__ import annotations
 import jsonschema
 
 from hitchopt.mission.loading import problem_schema
-from hitchopt.mission.problem import HitchStart, Problem
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.starts import HitchStart
 from tests.helpers.plans import ROOT
 
 VALIDATOR = jsonschema.Draft202012Validator(problem_schema())

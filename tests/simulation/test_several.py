@@ -22,7 +22,8 @@ from hitchopt.lab.simulation.report import Simulation, ending, summary
 from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import CALM, Loss, Settings
 from hitchopt.lab.simulation.task import Task
-from hitchopt.mission.problem import HitchStart, Problem
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.starts import HitchStart
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.steps.moving import Hold
