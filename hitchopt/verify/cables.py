@@ -10,7 +10,7 @@ import numpy as np
 
 from .arithmetic import BIG, DEGREES, UP, G, Index, Line, Mask, angle, maximum, minimum, norm
 from .drones import wall_gap
-from .plan import REST_TOL, WRAP_TOL, Plan
+from .plan import HITCHED, REST_TOL, WRAP_TOL, Plan
 from .shapes import distance
 from .spans import MIN_TENSION, Row, Spans, prove
 
@@ -43,7 +43,7 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     yield prove("legs m min", least, legs, lambda s, i: s.leg(i).flat(p.ratio).norm())
     yield prove("cable_length ratio max", 1e-4, cables, length_error)
     yield prove("equilibrium ratio max", 5e-3, clasps, force_residual)
-    closed = clasps.select(p.state[clasps.piece] == "hitched")
+    closed = clasps.select(p.state[clasps.piece] == HITCHED)
     yield prove("contact deg max", OPEN_ROLL, closed, roll_angle)
     if p.weight or np.any(p.load) or np.any(p.active):
         yield prove("contact 1 max", 0.0, closed, contact)

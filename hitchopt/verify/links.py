@@ -25,7 +25,7 @@ from .arithmetic import (
 )
 from .cables import OPEN_ROLL, crossing_parts, has_tension
 from .catenary import catenary, catenary_depth
-from .plan import BENT, CROSSINGS, LAID, LOOSE, MIN_GAP, ROLLING, SAG_TOL, TIGHTENED, Plan
+from .plan import BENT, CROSSINGS, HITCHED, LAID, LOOSE, MIN_GAP, ROLLING, SAG_TOL, TIGHTENED, Plan
 from .shapes import distance, intersections, signed_distance
 from .spans import Fault, Row, Spans, fault_row, prove
 
@@ -149,7 +149,7 @@ def rolled(
     faults = [
         (opened & (not run.before), "a clasp is open at the start"),
         (~valid, "unlinked cables roll"),
-        (short | across & (run.after == "hitched"), "pairs do not roll by a half turn"),
+        (short | across & (run.after == HITCHED), "pairs do not roll by a half turn"),
     ]
     return sense, np.where(across, sense, 0.0), faults
 
@@ -185,7 +185,7 @@ class Replay:
                 self.bend(run, number)
             elif run.state == ROLLING:
                 self.roll(run, linked)
-            elif run.state == "hitched" and run.before not in ("", ROLLING):
+            elif run.state == HITCHED and run.before not in ("", ROLLING):
                 self.sense = number
 
     def check(self, run: Run, wrong: Any, text: str) -> None:

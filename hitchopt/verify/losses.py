@@ -33,7 +33,7 @@ from .arithmetic import (
     norm,
     normalize,
 )
-from .plan import Plan
+from .plan import HITCHED, Plan
 from .shapes import closest, distance, hull_distance, prism_gap
 from .spans import Row, Spans, fault_row, prove, worst_row
 
@@ -83,7 +83,7 @@ def losses(p: Plan, stated: Any = None) -> Iterator[Row]:
         return
     jumps, names = displacements(p), p.names
     yield fault_row("losses", [(0.0, applies, text) for applies, text in contradictions(p, jumps)])
-    hitched = p.state == "hitched"
+    hitched = p.state == HITCHED
     T = np.max(p.tensions.c[0][:, :, 0], axis=-1) * hitched[:, None]
     jump = np.repeat(T, 2, axis=1) * jumps
     values = [(float(x), float(p.breaks[q]), names[i]) for (q, i), x in np.ndenumerate(jump)]
@@ -99,7 +99,7 @@ def losses(p: Plan, stated: Any = None) -> Iterator[Row]:
 def taut_pieces(p: Plan) -> Mask:
     """Return the pieces on which a hitch is taut and holds no object."""
     taut = np.min(p.tensions.c[0][:, :, 0], axis=-1) >= TAUT_SHARE * p.stated_tension[:, 0]
-    return np.asarray((p.state == "hitched") & np.all(taut, axis=1) & ~np.any(p.held, axis=0))
+    return np.asarray((p.state == HITCHED) & np.all(taut, axis=1) & ~np.any(p.held, axis=0))
 
 
 def contradictions(p: Plan, jumps: Array) -> Iterator[tuple[bool, str]]:

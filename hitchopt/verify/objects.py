@@ -26,7 +26,7 @@ from .arithmetic import (
 from .cables import capstan, wrap_angle
 from .catenary import lowest_height, shift
 from .drones import wall_gap
-from .plan import CONTACT_TOL, DRAWN, EXACT_RANGE, WRAP_TOL, Plan
+from .plan import CONTACT_TOL, DRAWN, EXACT_RANGE, GROUNDED, WRAP_TOL, Plan
 from .shapes import Slab, to_frame
 from .spans import MIN_TENSION, Row, Spans, prove
 
@@ -48,7 +48,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         """Return heights of hanging cables above the body, or horizontal distances of chords."""
         height = (lowest_height(s, k) - p.poses.on(s, b)[2] - slab.upper) * (1.0 / p.ratio)
         height = height - shift(s, k)
-        height = height.where(~np.isin(p.state[s.piece], ("on the ground", DRAWN)))
+        height = height.where(~np.isin(p.state[s.piece], (GROUNDED, DRAWN)))
         return maximum(slab.enlarged(0.0, -BIG, BIG).gap(*s.ends(k, b)), height)
 
     def hull_gap(s: Spans, k: Index, slab: Slab) -> Line:

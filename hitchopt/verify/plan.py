@@ -49,17 +49,19 @@ NO_CABLES: dict[str, Any] = {  # of teams of single drones
 }
 
 # States of cables
-CROSSINGS = {"on the ground": 0, "hanging free": 0, "being drawn taut": 0}
-CROSSINGS |= {"being tightened": 1, "loose after a loss": 1, "hitched": 1}  # of a clasp's cables
+GROUNDED = "on the ground"
+HANGING = "hanging free"
+DRAWN = "being drawn taut"  # single cables
 LAID = "being laid"  # single taut cables
-ROLLING = "rolling"  # pairs between crossing and clasp
 CLASPING = "clasping"
 TIGHTENED = "being tightened"
 LOOSE = "loose after a loss"  # at the start of a plan, until a chain is tightened
-UNLINKED = {"on the ground", "hanging free"}  # no links
-DRAWN = "being drawn taut"  # single cables
+ROLLING = "rolling"  # pairs between crossing and clasp
+HITCHED = "hitched"
 BENT = "bent around an object"  # single cables, with edges
-OF_TWO = {*UNLINKED, DRAWN, BENT, ROLLING, "hitched"}  # states of two cables that clasp twice
+CROSSINGS = {GROUNDED: 0, HANGING: 0, DRAWN: 0, TIGHTENED: 1, LOOSE: 1, HITCHED: 1}  # of a clasp
+UNLINKED = {GROUNDED, HANGING}  # no links
+OF_TWO = {*UNLINKED, DRAWN, BENT, ROLLING, HITCHED}  # states of two cables that clasp twice
 STATES = {*CROSSINGS, CLASPING, LAID, ROLLING, BENT, "none"}
 
 
@@ -146,6 +148,7 @@ class Plan:
     formed: Mask  # (m,) there is a hitch
     bent: Mask  # (m,) cables bend on their own
     taut: Mask  # (m,) there are edges and legs: formed or bent
+    pulling: Mask  # (m,) cables have a tension: taut, or tightened
     free: Mask  # (m,) cables without edges
     clasping: Mask  # (m,) cables clasp, are tightened or loose after a loss
     vertical: Mask  # (m,) drones move vertically alone
@@ -371,10 +374,10 @@ class Plan:
         self.phase = np.searchsorted(ends, self.breaks[:-1] + 0.5 * self.h)
         self._check_phases()
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
-        self.formed = np.isin(self.state, ("hitched", ROLLING))
+        self.formed = np.isin(self.state, (HITCHED, ROLLING))
         self.bent = self.state == BENT
         self.taut = self.formed | self.bent
-        self.pulling = self.taut | (self.state == TIGHTENED)  # cables with a tension
+        self.pulling = self.taut | (self.state == TIGHTENED)
         self.free = ~self.taut & (self.n > 0)
         self.clasping = np.isin(self.state, (CLASPING, TIGHTENED, LOOSE))
 

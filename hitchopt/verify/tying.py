@@ -31,6 +31,7 @@ from .plan import (
     CLASPING,
     DRAWN,
     EXACT_RANGE,
+    GROUNDED,
     LAID,
     LOOSE,
     MIN_GAP,
@@ -176,7 +177,7 @@ def hanging_cables(p: Plan) -> Iterator[Row]:
     """Prove distances of drones from cables that lie on the ground, or hang below their drones."""
     foreign = foreign_drones(p)
     ends = (p.names, p.cables)
-    level = (p.state == "on the ground") | (p.state == DRAWN)
+    level = (p.state == GROUNDED) | (p.state == DRAWN)
     hangs = p.free & ~level & (p.state != LOOSE)
     lying = Spans.of(p, p.free & level, foreign, *ends)
     hanging = Spans.of(p, hangs, range(p.n), p.cables)

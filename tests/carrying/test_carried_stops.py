@@ -20,7 +20,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import on_clock
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.values import Array
-from hitchopt.verify import driver
+from hitchopt.verify import consistency
 from tests.helpers.carried_plans import TO, check, plan, tray
 
 KINDS = ["tray", "drum"]
@@ -108,7 +108,7 @@ def test_a_hold_starts_where_the_balance_permits(kind: str, tmp_path: Path) -> N
     assert found.rest < end + 0.2
     write_plan(tmp_path / "plan.npz", found.flight)
     (told,), _ = second.read(tmp_path / "plan.npz")
-    assert {row.verdict for row in driver.jumps(told)} == {"proven"}
+    assert {row.verdict for row in consistency.jumps(told)} == {"proven"}
 
 
 @cache

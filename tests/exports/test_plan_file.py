@@ -33,7 +33,7 @@ from hitchopt.motion.retiming import truncated
 from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.verify import UnreadableError, read
-from hitchopt.verify.driver import consistency
+from hitchopt.verify.consistency import consistency
 from tests.helpers.exported_plans import hitch_plan, swarm_plan
 from tests.helpers.groups import with_swarm
 from tests.helpers.plans import PROBLEMS, planned

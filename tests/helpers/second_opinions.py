@@ -14,10 +14,10 @@ from hitchopt import verify as second
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.verify import cables, driver, links, objects, teams, tying
+from hitchopt.verify import cables, consistency, links, objects, teams, tying
 
 Rows = Callable[..., Iterator[second.Row]]
-OF_WHOLE: set[Rows] = {driver.jumps, links.interlacing}
+OF_WHOLE: set[Rows] = {consistency.jumps, links.interlacing}
 OF_TAUT: set[Rows] = {cables.taut_cables}
 OF_BENT: set[Rows] = {tying.bent_cables}
 OF_BODIES: set[Rows] = {
@@ -28,12 +28,12 @@ OF_PAIRS: set[Rows] = {teams.between_plans, teams.object_distances, teams.arc_di
 TAUT = tying.bent_cables, cables.taut_cables, tying.laid_cables
 ROWS: dict[str, tuple[Rows, ...]] = {
     "interlacing": (links.interlacing,),
-    "continuity": (driver.jumps,),
-    "consistency": (driver.consistency,),
+    "continuity": (consistency.jumps,),
+    "consistency": (consistency.consistency,),
     "laid": (tying.bent_cables, tying.laid_cables),
     **dict.fromkeys(("cable_length", "equilibrium", "contact"), TAUT),
     "crossing": (*TAUT, teams.between_plans),
-    "tension": (driver.jumps, cables.taut_cables, tying.free_cables),
+    "tension": (consistency.jumps, cables.taut_cables, tying.free_cables),
     **dict.fromkeys(("span", "drawn"), (tying.free_cables,)),
     "grip": (objects.gripped,),
     "yaw": (objects.steady,),

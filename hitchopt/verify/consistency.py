@@ -1,0 +1,257 @@
+"""Whether a plan hangs together: jumps of curves, and states of phases and objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
+
+import numpy as np
+
+from .arithmetic import POS_TOL, Array, Items, Mask, norm, varies
+from .cables import OPEN_ROLL
+from .catenary import lowest_height
+from .drones import thrust
+from .links import roll_changes
+from .objects import support_below
+from .plan import CLASPING, CONTACT_TOL, DRAWN, GROUNDED, LAID, LOOSE, ROLLING, TIGHTENED, Plan
+from .shapes import to_frame
+from .spans import RESOLUTION, Fault, Row, Spans, Worst, fault_row, worst_row
+
+StateFault = tuple[bool, str]  # whether it applies, text
+
+
+def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
+    """Check jumps of curves at joints of pieces, as sums over time, and jumps of thrusts and pulls.
+
+    They ``rest`` at the start (0) or the end (-1) of the plan.
+    """
+    yield worst_row("continuity", "m", 1e-6, [*curve_jumps(p), *rates_at_rest(p, rests)])
+    if p.n:
+        yield worst_row("tension", "N", 1e-4, [*force_jumps(p), *range_errors(p)])
+
+
+def curve_jumps(p: Plan) -> Iterator[Worst]:
+    """Yield the sums of jumps of curves and of two derivatives; of cables between taut pieces."""
+    bodies = [body.name for body in p.bodies]
+    both_taut = (p.taut[1:] & p.taut[:-1])[:, None]
+    for k in range(3):
+        points = p.points.c[k]
+        yield from total_jump(jumps_of(points[:, : p.N]), p, p.names)
+        yield from total_jump(jumps_of(p.poses.c[k]), p, bodies)
+        yield from total_jump(jumps_of(points[:, p.V]) * both_taut, p, p.labels[p.V])
+        if np.any(p.bent):  # inner ends of legs
+            yield from total_jump(jumps_of(points[:, p.anchor]) * both_taut, p, p.names)
+        yield from total_jump(jumps_of(p.legs.c[k]) * both_taut, p, p.names)
+
+
+def rates_at_rest(p: Plan, rests: Sequence[int]) -> Iterator[Worst]:
+    """Yield speeds and accelerations of drones and objects at ends at which they rest."""
+    bodies = [body.name for body in p.bodies]
+    for k, end in product((1, 2), rests):
+        time = float(p.breaks[end])
+        for curve, names in ((p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)):
+            for rate, name in zip(norm(curve[end, ..., end]).tolist(), names, strict=True):
+                yield rate, time, name
+
+
+def force_jumps(p: Plan) -> Iterator[Worst]:
+    """Yield the largest jumps of thrusts, and of tensions of edges and legs."""
+    drones = Spans.of(p, p.all_pieces, range(p.N))
+    with np.errstate(all="ignore"):
+        ends = [thrust(drones.subspan(end), drones.item[:, 0]).v for end in (-1.0, 1.0)]
+    thrusts = np.stack(ends, axis=-1).reshape(-1, p.N, 3, 2)
+    pulling = p.pulling[:, None, None, None]
+    yield from largest_jump(jumps_of(thrusts), p, p.names)
+    yield from largest_jump(jumps_of(p.tensions.c[0] * pulling), p, p.cables)
+    yield from largest_jump(jumps_of(p.pulls.c[0] * pulling), p, p.names)
+
+
+def range_errors(p: Plan) -> Iterator[Worst]:
+    """Yield differences of tensions from the team's at both ends of ranges.
+
+    Where an object is held on both sides, tensions may differ.
+    """
+    held = np.pad(np.any(p.held, axis=0), 1, "edge")
+    ranged = np.append(p.range_phase, -1)
+    for q, end in product(np.flatnonzero(p.formed & (p.range_phase >= 0)), (0, -1)):
+        beyond = q - 1 - 2 * end  # the piece before or after; without a range beyond the plan
+        if ranged[beyond] != ranged[q] and not (held[q + 1] and held[beyond + 1]):
+            error = np.max(np.abs(p.tensions.c[0][q, :, :, end] - p.stated_tension))
+            yield float(error), float(p.breaks[q - end]), "range"
+
+
+def jumps_of(c: Array) -> Array:
+    """Return the jumps (m - 1, items) of curves (m, items, d, N + 1) at joints of pieces."""
+    return norm(c[1:, ..., 0] - c[:-1, ..., -1])
+
+
+def largest_jump(x: Array, p: Plan, names: Sequence[str]) -> Iterator[Worst]:
+    """Yield the largest of jumps (m - 1, items), if there are any."""
+    if x.size:
+        yield worst_item(np.max(x, axis=0), x, p, names)
+
+
+def total_jump(x: Array, p: Plan, names: Sequence[str]) -> Iterator[Worst]:
+    """Yield the largest sum of jumps (m - 1, items) above rounding errors, if there are any."""
+    if x.size:
+        sums = np.sum(np.where(x > 1e-9, x, 0.0), axis=0)
+        yield worst_item(np.maximum(sums, np.max(x, axis=0)), x, p, names)
+
+
+def worst_item(values: Array, x: Array, p: Plan, names: Sequence[str]) -> Worst:
+    """Return the largest of values (items,), at the time of the item's largest jump."""
+    item = int(np.argmax(values))
+    joint = int(np.argmax(x[:, item]))
+    return float(values[item]), float(p.breaks[joint + 1]), names[item]
+
+
+def consistency(p: Plan) -> Iterator[Row]:
+    """Check phases and objects for contradictions, and the duration."""
+    yield fault_row("consistency", (*phase_faults(p), *object_faults(p)))
+    if p.limits["duration"] is not None:
+        end = float(p.breaks[-1])
+        yield worst_row("duration", "s", p.limits["duration"], [(end, end, "")])
+
+
+def phase_faults(p: Plan) -> Iterator[Fault]:
+    """Yield contradictions between curves and the states of cables in phases."""
+    for i, phase in enumerate(p.phases):
+        on = p.phase == i
+        if not np.any(on):  # shorter than what files resolve
+            continue
+        faults = [*unformed_faults(p, on), *FAULTS_OF_STATES.get(phase["state"], no_faults)(p, on)]
+        if p.two and np.any(on & p.formed):
+            faults.append((phase["hold"] is None, "two cables are tied around nothing"))
+        if phase["state"] == LOOSE:
+            follows = i > 0 and p.phases[i - 1]["state"] != LOOSE
+            faults.append((follows, "cables are loose without a loss at the start"))
+        yield from ((phase["start"], applies, text) for applies, text in faults)
+
+
+def no_faults(_p: Plan, _on: Mask) -> Iterator[StateFault]:
+    """Yield nothing."""
+    yield from ()
+
+
+def unformed_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
+    """Yield tensions of cables that do not pull, and legs of those that form no hitch."""
+    pulls = any(np.any(curve.c[0][on & ~p.pulling]) for curve in (p.tensions, p.pulls))
+    has_legs = bool(np.any(p.legs.c[0][on & p.free]))
+    yield pulls or has_legs, "tensions or legs without a hitch"
+
+
+def laid_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
+    """Yield turns of cables that are laid."""
+    drones = p.points.c[0][on, : p.N]
+    chords = drones[:, 1::2] - drones[:, 0::2]
+    yield varies(chords), "cables turn while they are laid"
+
+
+def drawn_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
+    """Yield vertical motion of drones that draw their cables taut."""
+    heights = p.points.c[0][on, : p.N, 2]
+    yield varies(heights), "drones change their heights as cables are drawn taut"
+
+
+def rolling_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
+    """Yield what else changes while pairs roll."""
+    legs = p.legs.c[0][on]
+    lowest = np.min(p.min_tension[on], axis=0)
+    longest = np.max(legs, axis=(0, -1)).reshape(p.n, 2)
+    sag = (p.weight / lowest) ** 2 / 24.0 * longest**3
+    drift = (sag + 1e-4).reshape(legs.shape[1:-1])  # of legs as they sag, or as weight passes
+    moves = varies(p.points.c[0][on][:, p.V]) or varies(legs, drift)
+    yield moves, "vertices or legs move while pairs roll"
+    of_edges = np.repeat(p.tensions.c[0][on], 2, axis=1)
+    is_unequal = np.max(np.abs(p.pulls.c[0][on] - of_edges)) > 1e-4
+    is_loaded = np.any(p.load) or np.any((p.rest | p.active)[:, on])
+    yield bool(is_loaded or is_unequal), "pairs with loads or unequal pulls roll"
+    start, change, _ = roll_changes(p, np.flatnonzero(on))
+    shut = np.abs([start, start + change]) < OPEN_ROLL
+    yield bool(np.all(shut)), "no pair rolls or lies across"
+
+
+def grounded_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
+    """Yield cables that do not lie on the ground."""
+    if not p.n:
+        return
+    spans, cables = of_cables(p, on)
+    with np.errstate(all="ignore"):
+        heights = [np.min(lowest_height(spans.subspan(x), cables).v) for x in (-1.0, 0.0, 1.0)]
+    is_high = min(heights) - p.floor > p.settings["separation"]["cable"] + RESOLUTION
+    moves = varies(p.points.c[0][on, : p.N, :2])
+    yield is_high or moves, "cables do not lie on the ground as stated"
+
+
+def clasping_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
+    """Yield pairs whose middle moves."""
+    drones = p.points.c[0][on, : p.N]
+    middles = 0.5 * (drones[:, 2 * p.clasps] + drones[:, 2 * p.behind + 1])
+    yield varies(middles, RESOLUTION), "drones do not turn about each other"
+
+
+def tightened_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
+    """Yield cables that are slack by name, and have their full length for more than half a phase.
+
+    Cables of more tension count more.
+    """
+    spans, cables = of_cables(p, on)
+    excess = spans.route_length(cables).v.reshape(-1, p.n) - (1.0 - 1e-4) * p.length[:, 0]
+    is_full = excess @ p.stated_tension[:, 0] > 0.0
+    full_time, time = np.sum(p.h[on] * is_full), np.sum(p.h[on])
+    yield bool(full_time > 0.5 * time), "cables stated as slack have their full length"
+
+
+def of_cables(p: Plan, on: Mask) -> tuple[Spans, Items]:
+    """Return spans of all cables without a hitch on pieces, and the cables."""
+    free = on & p.free
+    return Spans.of(p, free, range(p.n)), np.tile(np.arange(p.n), int(np.sum(free)))
+
+
+FAULTS_OF_STATES: dict[str, Callable[[Plan, Mask], Iterator[StateFault]]] = {
+    LAID: laid_faults,
+    ROLLING: rolling_faults,
+    DRAWN: drawn_faults,
+    GROUNDED: grounded_faults,
+    CLASPING: clasping_faults,
+    TIGHTENED: tightened_faults,
+}
+"""Contradictions of curves and a state of cables, on pieces in that state."""
+
+
+def object_faults(p: Plan) -> Iterator[Fault]:
+    """Yield objects without support, that move unheld, or with inconsistent load shares."""
+    c = p.poses.c[0]
+    for b, body in enumerate(p.bodies):
+        moving, busy, lifted = p.moving[b], p.active[b], p.lifted[b]
+        spans = Spans.of(p, p.all_pieces, [b])
+        middles = (-1.0, -0.5, 0.0, 0.5, 1.0)
+        headings = np.array([norm(p.poses.at(spans.subspan(x), b)[:, 3:]) for x in middles])
+        supports = np.array([support_below(p, b, pose)[0] for pose in c[..., 0]])
+        bases = c[:, b, 2, 0] + body.stem.lower
+        falls = (np.abs(bases - supports) > POS_TOL) & ~lifted & ~moving
+        share = p.load_share.c[0][:, b, 0]
+        for wrong, words in (
+            (np.max(np.abs(headings - 1.0), axis=0) > POS_TOL, "has an invalid heading"),
+            (busy & ~(p.held[b] & p.formed), "moves or has a load share without a hold"),
+            (moving & ~lifted, "moves without a load fraction of 1"),
+            (np.any((share < 0.0) | (share > 1.0), axis=-1), "has a load share outside 0 to 1"),
+            (busy & body.fixed, "is fixed but moves"),
+            (falls & (not body.fixed), "has no support"),
+            (p.grip[b] & (not p.n or not p.has_contacts), "is gripped by straight edges"),
+            (p.rest[b] & ~clasps_hold(p, b), "is not inside the clasps below its rim"),
+        ):
+            yield float(p.breaks[np.argmax(wrong)]), bool(np.any(wrong)), f"{body.name} {words}"
+
+
+def clasps_hold(p: Plan, b: int) -> Mask:
+    """Return the pieces (m,) at whose start all clasps are around a body and below its rim."""
+    body = p.bodies[b]
+    if body.rim is None or not p.closed:
+        return ~p.all_pieces
+    clasps = to_frame(p.poses.c[0][:, b, None, :, 0], p.points.c[0][:, p.V, :, 0])
+    edges = (np.roll(clasps, -1, axis=1) - clasps)[..., :2]
+    to_centre = body.centre[:2] - clasps[..., :2]
+    is_right = edges[..., 1] * to_centre[..., 0] - edges[..., 0] * to_centre[..., 1] > 0.0
+    is_below = clasps[..., 2] <= body.height + CONTACT_TOL
+    return np.asarray(np.all(is_right & is_below, axis=1))
