@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -51,6 +52,7 @@ STOCK = {  # gains kp, kd of controllers, horizontal and vertical, and whether t
 }
 
 Region = Callable[[Spans, Index], list[Line]]  # corners of bodies, for items of spans
+Chords = Callable[[Spans, Index], list[list[Line]]]  # ends of what chords of cables sweep
 
 
 class Moves(NamedTuple):
@@ -91,7 +93,7 @@ def losses(p: Plan, stated: Any = None) -> Iterator[Row]:
     rows, on = moves(p), taut_pieces(p)
     if not np.any(on) or not len(rows.drone):
         return
-    yield from cases(p, rows, on)
+    yield from AfterLosses(p, rows, on).proofs()
     if stated is not None:
         yield fault_row("after_loss", table_faults(p, rows, on, stated, float(np.max(jump))))
 
@@ -217,20 +219,24 @@ class Pairs(NamedTuple):
     @classmethod
     def of(cls, p: Plan, rows: Moves) -> Pairs:
         """Return all pairs of a plan."""
-        each, drones, cables = np.arange(len(rows.drone)), np.arange(p.N), np.arange(p.n)
+        moves, drones, cables = np.arange(len(rows.drone)), np.arange(p.N), np.arange(p.n)
         whole = whole_cables(p, rows)
         may_leave = np.flatnonzero(np.isin(drones // 2, rows.lost))
         is_other = drones[:, None] // 2 != cables
         remain = np.any(is_other.T[:, :, None] & whole[:, None], axis=0) & is_other
         return cls(
-            pairs(lambda j, i: (i != rows.drone[j]) & (i // 2 != rows.lost[j]), each, drones),
-            pairs(lambda j, i: (rows.lost[j] == rows.lost[i]) & (i != j), each, each),
-            pairs(lambda j, i: rows.lost[j] == i // 2, each, drones),
-            pairs(lambda i, j: i // 2 != j // 2, may_leave, drones),
-            pairs(lambda j, k: whole[rows.lost[j], k], each, cables),
-            pairs(lambda i, k: whole[i // 2, k], drones, cables),
-            pairs(lambda i, k: remain[i, k], drones, cables),
-            pairs(lambda i, k: (i < k) & np.any(whole[:, i] & whole[:, k], axis=0), cables, cables),
+            others=pairs(
+                lambda j, i: (i != rows.drone[j]) & (i // 2 != rows.lost[j]), moves, drones
+            ),
+            both=pairs(lambda j, i: (rows.lost[j] == rows.lost[i]) & (i != j), moves, moves),
+            leaving=pairs(lambda j, i: rows.lost[j] == i // 2, moves, drones),
+            staying=pairs(lambda i, j: i // 2 != j // 2, may_leave, drones),
+            beside=pairs(lambda j, k: whole[rows.lost[j], k], moves, cables),
+            leave_beside=pairs(lambda i, k: whole[i // 2, k], drones, cables),
+            stay_beside=pairs(lambda i, k: remain[i, k], drones, cables),
+            whole=pairs(
+                lambda i, k: (i < k) & np.any(whole[:, i] & whole[:, k], axis=0), cables, cables
+            ),
         )
 
 
@@ -248,147 +254,165 @@ def clasped_first(p: Plan, items: Items, cables: Items) -> tuple[Items, Items]:
     return items[shares], items[~shares]
 
 
-def cases(p: Plan, rows: Moves, on: Mask) -> Iterator[Row]:
-    """Prove that all distances after losses are kept, as shares of their limits, at most 1."""
-    compared, points = Pairs.of(p, rows), p.points.c[0]
-    heights = points[on][:, : p.N, 2]
-    spread = np.max(heights, axis=(1, 2)) - np.min(heights, axis=(1, 2))
-    lift = largest_lift(p, rows, on)
-    # The semi-axis of the ellipsoid that contains a drone's errors is 0.5 over the scale
-    rise = RISE * 0.5 / float(p.scale[2]) + float(np.max(spread)) + lift
-    yield from separations(p, rows, on, compared, rise * UP)
-    yield from clearances(p, rows, on, compared, rise * UP)
-    yield from crossings(p, rows, on, compared)
-    yield from rest_rows(p, rows, on, rise)
+class CablePlaces(NamedTuple):
+    """Where cables are after losses."""
+
+    region: Region
+    chords: Chords
 
 
-def way(s: Spans, rows: Moves, j: Index) -> list[Line]:
-    """Return both ends of ways."""
-    return [s.point(rows.drone[j]), place_after(s, rows, j)]
+class AfterLosses:
+    """Bodies of a plan after losses, and proofs that they stay apart.
 
+    Methods with spans and an index return corners of where a body is: drones i, rows j of moves
+    with their drone or its cable, and whole cables k.
+    """
 
-def loose(s: Spans, rows: Moves, j: Index) -> list[Line]:
-    """Return corners of regions of cables whose ends are anywhere on their ways."""
-    return end_region(s, rows, j, place_after(s, rows, j))
+    def __init__(self, p: Plan, rows: Moves, on: Mask) -> None:
+        self.p, self.rows, self.on, self.pairs = p, rows, on, Pairs.of(p, rows)
+        self.moved = [p.names[i] for i in rows.drone]  # names of the rows
+        heights = p.points.c[0][on][:, : p.N, 2]
+        spread = np.max(heights, axis=(1, 2)) - np.min(heights, axis=(1, 2))
+        # The semi-axis of the ellipsoid that contains a drone's errors is 0.5 over the scale
+        semi_axis = 0.5 / float(p.scale[2])
+        self.rise = RISE * semi_axis + float(np.max(spread)) + largest_lift(p, rows, on)
 
+    def proofs(self) -> Iterator[Row]:
+        """Prove that all distances after losses are kept, as shares of their limits, at most 1."""
+        yield from self.separations()
+        yield from self.clearances()
+        yield from self.heights()
+        yield from self.crossings()
+        yield from rest_rows(self.p, self.rows, self.on, self.rise)
 
-def proven(
-    p: Plan, on: Mask, items: Items, formula: Callable[..., Line], *names: Any
-) -> Iterator[Row]:
-    """Prove shares of limits, for all items with names of their columns."""
-    if len(items):
-        yield prove("survivable 1 min", 1.0, Spans.of(p, on, items, *names), formula)
+    def proven(self, items: Items, formula: Callable[..., Line], *names: Any) -> Iterator[Row]:
+        """Prove shares of limits, for all items with names of their columns."""
+        if len(items):
+            yield prove("survivable 1 min", 1.0, Spans.of(self.p, self.on, items, *names), formula)
 
+    def resting(self, s: Spans, i: Index) -> list[Line]:
+        """Return where drones are that do not move."""
+        return [s.point(i)]
 
-def separations(p: Plan, rows: Moves, on: Mask, by: Pairs, rise: Array) -> Iterator[Row]:
-    """Prove the distances of drones."""
-    moved, names = [p.names[i] for i in rows.drone], p.names
+    def risen(self, s: Spans, i: Index) -> list[Line]:
+        """Return where drones of the lost robot end."""
+        return [s.point(i) + self.rise * UP]
 
-    def ratio(a: list[Line], b: list[Line]) -> Line:
-        return share(distance([x * p.scale for x in a], [x * p.scale for x in b]), 1.0)
+    def rising(self, s: Spans, i: Index) -> list[Line]:
+        """Return both ends of where drones of the lost robot rise."""
+        return [*self.resting(s, i), *self.risen(s, i)]
 
-    def rising(s: Spans, i: Index) -> list[Line]:
-        return [s.point(i), s.point(i) + rise]
+    def moving(self, s: Spans, j: Index) -> list[Line]:
+        """Return both ends of ways."""
+        return [s.point(self.rows.drone[j]), place_after(s, self.rows, j)]
 
-    for items, formula, columns in (
-        (by.others, lambda s, j, i: ratio(way(s, rows, j), [s.point(i)]), (moved, names)),
-        (by.both, lambda s, j, i: ratio(way(s, rows, j), way(s, rows, i)), (moved, moved)),
-        (by.leaving, lambda s, j, i: ratio(way(s, rows, j), [s.point(i) + rise]), (moved, names)),
-        (by.staying, lambda s, i, j: ratio(rising(s, i), [s.point(j)]), (names, names)),
-    ):
-        yield from proven(p, on, items, formula, *columns)
+    def straight_edge(self, s: Spans, j: Index) -> list[Line]:
+        """Return both ends of cables after losses, from the drone's place to the far clasp."""
+        return [place_after(s, self.rows, j), s.point(self.rows.far[j])]
 
+    def loose_cable(self, s: Spans, j: Index) -> list[Line]:
+        """Return regions of cables whose ends are anywhere on their ways."""
+        return end_region(s, self.rows, j, place_after(s, self.rows, j))
 
-def clearances(p: Plan, rows: Moves, on: Mask, by: Pairs, rise: Array) -> Iterator[Row]:
-    """Prove the distances of cables to drones and the ground."""
-    moved, names, hung = [p.names[i] for i in rows.drone], p.names, p.cables
-    others = by.others
-    of_others = others[others[:, 1] // 2 != rows.drone[others[:, 0]] // 2]
+    def cable_at_first(self, s: Spans, j: Index) -> list[Line]:
+        """Return regions of cables while their clasp vanishes."""
+        return end_region(s, self.rows, j, s.point(self.rows.clasp[j]))
 
-    def rising(s: Spans, i: Index) -> list[Line]:
-        return [s.point(i), s.point(i) + rise]
+    def swept(self, s: Spans, j: Index) -> list[list[Line]]:
+        """Return triangles that chords of cables sweep in turn."""
+        start, place = self.moving(s, j)
+        steps = [start + (place - start) * (x / SWEEPS) for x in range(SWEEPS + 1)]
+        return [[*ends, s.point(self.rows.drone[j] ^ 1)] for ends in pairwise(steps)]
 
-    def resting(s: Spans, i: Index) -> list[Line]:
-        return [s.point(i)] * 2
+    def separations(self) -> Iterator[Row]:
+        """Prove the distances of drones."""
+        p, pairs, moved = self.p, self.pairs, self.moved
 
-    def moving(s: Spans, j: Index) -> list[Line]:
-        return way(s, rows, j)
+        def ratio(s: Spans, i: Index, j: Index, first: Region, second: Region) -> Line:
+            scaled = [[x * p.scale for x in corners] for corners in (first(s, i), second(s, j))]
+            return share(distance(scaled[0], scaled[1]), 1.0)
 
-    def by_way(s: Spans, j: Index) -> list[Line]:
-        return loose(s, rows, j)
+        for items, first, second, names in (
+            (pairs.others, self.moving, self.resting, (moved, p.names)),
+            (pairs.both, self.moving, self.moving, (moved, moved)),
+            (pairs.leaving, self.moving, self.risen, (moved, p.names)),
+            (pairs.staying, self.rising, self.resting, (p.names, p.names)),
+        ):
+            yield from self.proven(items, partial(ratio, first=first, second=second), *names)
 
-    def at_first(s: Spans, j: Index) -> list[Line]:
-        return end_region(s, rows, j, s.point(rows.clasp[j]))
+    def clearances(self) -> Iterator[Row]:
+        """Prove the distances of cables to drones."""
+        p, pairs, moved = self.p, self.pairs, self.moved
+        limit = p.cable_limit[1]
+        others = pairs.others
+        of_others = others[others[:, 1] // 2 != self.rows.drone[others[:, 0]] // 2]
 
-    def taut(s: Spans, j: Index, i: Index) -> Line:
-        edge = [place_after(s, rows, j), s.point(rows.far[j])]
-        return share(distance(edge, [s.point(i)], p.ratio), p.cable_limit[1])
+        def taut(s: Spans, j: Index, i: Index) -> Line:
+            return share(distance(self.straight_edge(s, j), self.resting(s, i), p.ratio), limit)
 
-    yield from proven(p, on, others, taut, moved, names)
-    for items, first, second, columns in (
-        (by.beside, moving, whole_region, (moved, hung)),
-        (by.both, by_way, moving, (moved, moved)),
-        (of_others, by_way, resting, (moved, names)),
-        (by.stay_beside, resting, whole_region, (names, hung)),
-        (by.leave_beside, rising, whole_region, (names, hung)),
-        (by.leaving, at_first, rising, (moved, names)),
-    ):
+        def gap(s: Spans, i: Index, j: Index, first: Region, second: Region) -> Line:
+            return share(prism_gap(first(s, i), second(s, j), p.ratio), limit)
 
-        def gap(s: Spans, i: Index, j: Index, a: Region = first, b: Region = second) -> Line:
-            return share(prism_gap(a(s, i), b(s, j), p.ratio), p.cable_limit[1])
+        def still(s: Spans, i: Index) -> list[Line]:
+            """Return where drones are as a segment, which distances of regions take."""
+            return self.resting(s, i) * 2
 
-        yield from proven(p, on, items, gap, *columns)
-    least = p.floor + p.sep["cable"] + (p.ratio - 1.0) * 2.0 * p.tracking
-    each = np.arange(len(rows.drone))[:, None]
-    whole = np.flatnonzero(np.any(whole_cables(p, rows), axis=0))[:, None]
-    for items, region, column in ((each, by_way, moved), (whole, whole_region, hung)):
+        yield from self.proven(others, taut, moved, p.names)
+        for items, first, second, names in (
+            (pairs.beside, self.moving, whole_region, (moved, p.cables)),
+            (pairs.both, self.loose_cable, self.moving, (moved, moved)),
+            (of_others, self.loose_cable, still, (moved, p.names)),
+            (pairs.stay_beside, still, whole_region, (p.names, p.cables)),
+            (pairs.leave_beside, self.rising, whole_region, (p.names, p.cables)),
+            (pairs.leaving, self.cable_at_first, self.rising, (moved, p.names)),
+        ):
+            yield from self.proven(items, partial(gap, first=first, second=second), *names)
 
-        def height(s: Spans, j: Index, region: Region = region) -> Line:
+    def heights(self) -> Iterator[Row]:
+        """Prove that cables are clear of the ground."""
+        p = self.p
+        least = p.floor + p.sep["cable"] + (p.ratio - 1.0) * 2.0 * p.tracking
+        rows = np.arange(len(self.rows.drone))[:, None]
+        whole = np.flatnonzero(np.any(whole_cables(p, self.rows), axis=0))[:, None]
+
+        def height(s: Spans, j: Index, region: Region) -> Line:
             """Return 1 where cables are clear of the ground, else less."""
             return minimum(region(s, j)[-1][2] - least, 0.0) + 1.0
 
-        yield from proven(p, on, items, height, column)
+        yield from self.proven(rows, partial(height, region=self.loose_cable), self.moved)
+        yield from self.proven(whole, partial(height, region=whole_region), p.cables)
 
+    def crossings(self) -> Iterator[Row]:
+        """Prove the distances of cables that share no clasp, and of chords of those that do."""
+        p, pairs, moved = self.p, self.pairs, self.moved
+        cable = self.rows.drone // 2
+        beside = np.column_stack([cable[pairs.beside[:, 0]], pairs.beside[:, 1]])
+        loose = CablePlaces(self.loose_cable, self.swept)
+        whole = CablePlaces(whole_region, chord)
 
-def crossings(p: Plan, rows: Moves, on: Mask, by: Pairs) -> Iterator[Row]:
-    """Prove the distances of cables that share no clasp, and of chords of those that do."""
-    moved, hung, cable = [p.names[i] for i in rows.drone], p.cables, rows.drone // 2
-
-    def by_way(s: Spans, j: Index) -> list[Line]:
-        return loose(s, rows, j)
-
-    def swept(s: Spans, j: Index) -> list[list[Line]]:
-        """Return triangles that chords sweep in turn."""
-        start, place = way(s, rows, j)
-        steps = [start + (place - start) * (x / SWEEPS) for x in range(SWEEPS + 1)]
-        return [[*ends, s.point(rows.drone[j] ^ 1)] for ends in pairwise(steps)]
-
-    def still(s: Spans, k: Index) -> list[list[Line]]:
-        return [s.ends(k)]
-
-    both, beside, whole = by.both, by.beside, by.whole
-    for items, cables, regions, chords, columns in (
-        (
-            *(beside, np.column_stack([cable[beside[:, 0]], beside[:, 1]])),
-            *((by_way, whole_region), (swept, still), (moved, hung)),
-        ),
-        (both, cable[both], (by_way, by_way), (swept, swept), (moved, moved)),
-        (whole, whole, (whole_region, whole_region), (still, still), (hung, hung)),
-    ):
-        clasped, apart = clasped_first(p, items, cables)
-
-        def gap(s: Spans, i: Index, j: Index, of: Any = regions) -> Line:
-            outlines = (
-                [x[:2] for x in region(s, k)[:-1]] for region, k in zip(of, (i, j), strict=True)
-            )
+        def gap(s: Spans, i: Index, j: Index, first: Region, second: Region) -> Line:
+            outlines = ([x[:2] for x in corners[:-1]] for corners in (first(s, i), second(s, j)))
             return share(hull_distance(*outlines), p.crossing_limit[1])
 
-        def past(s: Spans, i: Index, j: Index, of: Any = chords) -> Line:
-            gaps = [swept_gap(x, y) for x, y in product(of[0](s, i), of[1](s, j))]
+        def past(s: Spans, i: Index, j: Index, first: Chords, second: Chords) -> Line:
+            gaps = [swept_gap(x, y) for x, y in product(first(s, i), second(s, j))]
             return share(minimum(*gaps), POS_TOL)
 
-        yield from proven(p, on, apart, gap, *columns)
-        yield from proven(p, on, clasped, past, *columns)
+        for items, cables, one, other, names in (
+            (pairs.beside, beside, loose, whole, (moved, p.cables)),
+            (pairs.both, cable[pairs.both], loose, loose, (moved, moved)),
+            (pairs.whole, pairs.whole, whole, whole, (p.cables, p.cables)),
+        ):
+            clasped, apart = clasped_first(p, items, cables)
+            outlines_apart = partial(gap, first=one.region, second=other.region)
+            chords_apart = partial(past, first=one.chords, second=other.chords)
+            yield from self.proven(apart, outlines_apart, *names)
+            yield from self.proven(clasped, chords_apart, *names)
+
+
+def chord(s: Spans, k: Index) -> list[list[Line]]:
+    """Return the chord of cables that keep their clasps, as the only one that it sweeps."""
+    return [s.ends(k)]
 
 
 def largest_lift(p: Plan, rows: Moves, on: Mask) -> float:
