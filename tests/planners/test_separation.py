@@ -21,7 +21,12 @@ from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Sepa
 from hitchopt.hitch.series import chained
 from hitchopt.planners.separation import SeparatedCurves, SeparationResult, SeparationTask
 from hitchopt.planners.separation.around_prisms import points_along, routes_around
-from hitchopt.planners.separation.guesses import on_layers, pushed_apart, stuck_in_prisms
+from hitchopt.planners.separation.guesses import (
+    GuessTuning,
+    on_layers,
+    pushed_apart,
+    stuck_in_prisms,
+)
 from hitchopt.planners.separation.nominal import setting_of
 from hitchopt.planners.separation.one_by_one import order_of
 from hitchopt.planners.separation.program import hull_points, planes_to_prism, solve_program
@@ -464,9 +469,8 @@ def test_a_faster_clock_leads_drones_along_the_same_curves() -> None:
 def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     crowded = SearchTuning(large_crowd=40)
     monkeypatch.setattr("hitchopt.planners.separation.search.IN_FREE_SPACE", crowded)
-    monkeypatch.setattr(
-        "hitchopt.planners.separation.guesses.MAX_PUSH_ITERATIONS", 2
-    )  # guesses are not clear
+    few_pushes = GuessTuning(max_push_iterations=2)  # guesses are not clear
+    monkeypatch.setattr("hitchopt.planners.separation.guesses.TUNING", few_pushes)
     ring = antipodal_circle(12)
     x, y = np.meshgrid(np.arange(6) - 2.5, 8.0 + np.arange(5), indexing="ij")
     away = np.column_stack([x.ravel(), y.ravel(), np.full(30, 1.5)])

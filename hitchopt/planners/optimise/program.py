@@ -49,42 +49,52 @@ from hitchopt.values import Array, Indices
 if TYPE_CHECKING:
     import casadi as ca
 
-BEND_WEIGHT = 0.1
-"""Weight of the knots' second differences in the energy, which keeps splines near their knots."""
 
-TIME_BEND_WEIGHT = 0.02
-"""[s] Weight of the second differences relative to the time, times the path's time at the speed
-limits: bends cost more of a short flight, whose accelerations bound it."""
+@dataclass(frozen=True)
+class ProgramTuning:
+    """Weights and ranges of the program; ``python -m benchmarks morphs`` shows their effect."""
 
-TIME_ENERGY_WEIGHT = 1e-3
-"""Weight of the energy relative to the time, which makes the solution unique."""
+    bend_weight: float = 0.1
+    """Weight of the knots' second differences in the energy, which keeps splines near their knots.
+    """
 
-TENSION_WEIGHT = 0.02
-"""Weight of the squares of variable tensions, which leaves thrust for motion."""
+    time_bend_weight: float = 0.02
+    """[s] Weight of the second differences relative to the time, times the path's time at the speed
+    limits: bends cost more of a short flight, whose accelerations bound it."""
 
-TENSION_CHANGE_WEIGHT = 0.01
-"""Weight of the tensions' differences relative to their squares."""
+    time_energy_weight: float = 1e-3
+    """Weight of the energy relative to the time, which makes the solution unique."""
 
-MAX_TIME_SAVED = 0.3
-"""Largest decrease of a step's time in one program, over that time."""
+    tension_weight: float = 0.02
+    """Weight of the squares of variable tensions, which leaves thrust for motion."""
 
-MIN_ANGLE = math.radians(3.0)
-"""[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
+    tension_change_weight: float = 0.01
+    """Weight of the tensions' differences relative to their squares."""
 
-PENALTY_WEIGHT = 100.0
-"""[1/m] Penalty weight of violated rows, which exceeds any gain by violating them."""
+    max_time_saved: float = 0.3
+    """Largest decrease of a step's time in one program, over that time."""
 
-SLACK_SCALE = 0.01
-"""Unit of slacks, in strides, which scales the program."""
+    min_angle: float = math.radians(3.0)
+    """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
 
-BETWEEN_KNOTS_SHARE = 0.2
-"""Fraction of a step's reach up to which pairs have rows between the knots."""
+    penalty_weight: float = 100.0
+    """[1/m] Penalty weight of violated rows, which exceeds any gain by violating them."""
 
-NEAR_RANGE = 0.5
-"""Distance to its bound, in strides, below which a row is enforced at first."""
+    slack_scale: float = 0.01
+    """Unit of slacks, in strides, which scales the program."""
 
-ADDED_RANGE = 0.1
-"""Distance to its bound, in strides, below which a row is added together with violated rows."""
+    between_knots_share: float = 0.2
+    """Fraction of a step's reach up to which pairs have rows between the knots."""
+
+    near_range: float = 0.5
+    """Distance to its bound, in strides, below which a row is enforced at first."""
+
+    added_range: float = 0.1
+    """Distance to its bound, in strides, below which a row is added together with violated rows."""
+
+
+TUNING = ProgramTuning()
+
 
 ENTRY_COST = 0.012
 """Cost of an entry of a program's matrices, in the unit of ``Effort``, by regression."""
@@ -149,7 +159,7 @@ class MorphProgram:
         """
         program = self.program
         rows = sp.csr_array(program.A)
-        enforced = np.minimum(-program.lower, program.upper) < NEAR_RANGE
+        enforced = np.minimum(-program.lower, program.upper) < TUNING.near_range
         while True:
             A = sp.csc_array(rows[enforced])
             if not effort.spend(ENTRY_COST * float(program.P.nnz + A.nnz)):
@@ -163,7 +173,7 @@ class MorphProgram:
             excess = np.maximum(program.lower - values, values - program.upper)
             if not np.any(excess[~enforced] > 0.0):
                 break
-            enforced |= excess > -ADDED_RANGE
+            enforced |= excess > -TUNING.added_range
         changes = np.asarray(self.tangent @ solution[: self.tangent.shape[1]])
         table = self.path.table.copy()
         table[1:-1] += self.stride * changes.reshape(len(table) - 2, -1)
@@ -227,7 +237,7 @@ def _bound_rows(
 def _turn_rows(path: KnotPath, linear: Linearisation) -> RowBlock:
     """Return the rows of the sines of exterior angles at inner knots."""
     smallest = float(np.min(exterior_angles(path.team.layout, path.edges[[0, -1]])))
-    min_sine = math.sin(min(MIN_ANGLE, 0.5 * smallest))
+    min_sine = math.sin(min(TUNING.min_angle, 0.5 * smallest))
     no_upper = np.full(len(linear.turns), np.inf)
     return RowBlock(linear.turn_slopes, min_sine - linear.turns, no_upper)
 
@@ -264,17 +274,17 @@ def _assembled(
     upper = np.concatenate([block.upper for block in blocks])
     changes = tangent.shape[1]
     violated = np.flatnonzero((lower > 0.0) | (upper < 0.0))
-    slack_entries = np.where(lower[violated] > 0.0, SLACK_SCALE, -SLACK_SCALE)
+    slack_entries = np.where(lower[violated] > 0.0, TUNING.slack_scale, -TUNING.slack_scale)
     slacks = len(violated)
     variables = changes + len(times) + slacks
 
     gradient_by_changes = np.asarray(tangent.T @ objective.gradient)
-    penalties = np.full(slacks, PENALTY_WEIGHT * SLACK_SCALE)
+    penalties = np.full(slacks, TUNING.penalty_weight * TUNING.slack_scale)
     gradient = np.concatenate([gradient_by_changes, np.ones(len(times)), penalties])
     half_hessian = 0.5 * stride**2 * (tangent.T @ (objective.hessian @ tangent))
     hessian = sp.coo_array(half_hessian + half_hessian.T)  # whose pattern is symmetric too
     smallest_changes = np.full(changes, -np.inf)
-    smallest_time_changes = -MAX_TIME_SAVED / stride * times
+    smallest_time_changes = -TUNING.max_time_saved / stride * times
     return QuadraticProgram(
         P=sp.csc_array((hessian.data, (hessian.row, hessian.col)), (variables, variables)),
         q=stride * gradient,
@@ -490,11 +500,11 @@ def _energy(path: KnotPath, search: SearchLimits, *, fastest: bool) -> Quadratic
     limits = search.requirements.limits
     forms = _difference_forms(path.steps)
     energy_weight = 1.0
-    bend_weight = BEND_WEIGHT
+    bend_weight = TUNING.bend_weight
     if fastest:
         time = float(np.sum(np.max(segment_times(path, limits), axis=1)))
-        energy_weight = TIME_ENERGY_WEIGHT
-        bend_weight = TIME_BEND_WEIGHT / time
+        energy_weight = TUNING.time_energy_weight
+        bend_weight = TUNING.time_bend_weight / time
     scale = np.zeros(columns.size)  # to units of time
     scale[columns.vertices] = 1.0 / limits.vertex_speed
     scale[columns.drones] = 1.0 / limits.speed
@@ -505,8 +515,8 @@ def _energy(path: KnotPath, search: SearchLimits, *, fastest: bool) -> Quadratic
         return energy
     scale = np.zeros(columns.size)  # to fractions of the team's tensions
     scale[columns.tensions] = 1.0 / path.team.tension
-    changes = TENSION_CHANGE_WEIGHT * (forms.slopes + BEND_WEIGHT * forms.bends)
-    tension_form = 2.0 / robots * TENSION_WEIGHT * (forms.values + changes)
+    changes = TUNING.tension_change_weight * (forms.slopes + TUNING.bend_weight * forms.bends)
+    tension_form = 2.0 / robots * TUNING.tension_weight * (forms.values + changes)
     return energy.plus(_quadratic(path, tension_form, scale))
 
 
@@ -632,7 +642,7 @@ def _near_rows(
     nodes = np.concatenate([places, frames.heights[..., None]], axis=-1)
     margins = search.margins(path.steps, frames.indices)
     is_knot = frames.indices % 1.0 == 0.0
-    reach = np.where(is_knot, 1.0, BETWEEN_KNOTS_SHARE) * step.reach
+    reach = np.where(is_knot, 1.0, TUNING.between_knots_share) * step.reach
     pairs = near_pairs(path.team.layout, nodes, search.requirements, margins, reach)
 
     pair, first, second = end_combinations(pairs.kind, pairs.first, pairs.second)

@@ -6,7 +6,7 @@ They are deterministic and insensitive to rounding of the input.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,26 +21,62 @@ from hitchopt.planners.separation.prioritized import Schedule
 from hitchopt.planners.separation.task import Grid, SeparationTask, Setting, inside
 from hitchopt.values import Array
 
-SAMPLES = 3
-"""Number of samples of every piece at which guesses are pushed."""
 
-TARGET_SEPARATION = 1.15
-"""Target of pushes; above 1, since drones move between samples."""
+@dataclass(frozen=True)
+class GuessTuning:
+    """Numbers of the guesses; ``python -m benchmarks separation`` shows their effect."""
 
-MAX_PUSH_ITERATIONS = 120
-"""Maximum number of iterations of pushing."""
+    samples: int = 3
+    """Number of samples of every piece at which guesses are pushed."""
 
-MOMENTUM = 0.8
-"""Fraction of an iteration's pushes that is added to the next."""
+    target_separation: float = 1.15
+    """Target of pushes; above 1, since drones move between samples."""
 
-SMOOTHING_TIME = 0.08
-"""Time constant of the smoothing filter, over the duration."""
+    max_push_iterations: int = 120
+    """Maximum number of iterations of pushing."""
 
-SIDE_FADE_SHARE = 0.5
-"""Fraction of the iterations over which the common side fades out of the pushes."""
+    momentum: float = 0.8
+    """Fraction of an iteration's pushes that is added to the next."""
 
-PUSHED_SHARE = 0.8
-"""Share of the distance to a prism below which a drone counts as stuck in it after pushes."""
+    smoothing_time: float = 0.08
+    """Time constant of the smoothing filter, over the duration."""
+
+    side_fade_share: float = 0.5
+    """Fraction of the iterations over which the common side fades out of the pushes."""
+
+    pushed_share: float = 0.8
+    """Share of the distance to a prism below which a drone counts as stuck in it after pushes."""
+
+    schedule_pieces: float = 4.0
+    """Number of pieces of a grid for a schedule, over that of a grid for flights as long."""
+
+    schedule_smoothing_time: float = 0.005
+    """Time constant of the filter of a schedule, over its duration."""
+
+    min_crowd: int = 32
+    """Smallest number of drones meeting at the same time for which a roundabout is used."""
+
+    layers: int = 2
+    """Number of altitudes of a roundabout, which drones take in turn; it divides the rings' radius.
+    """
+
+    ring_factor: float = 1.06
+    """Radius of a ring over that at which its drones have the ``target_separation``."""
+
+    detour_factor: float = 1.3
+    """Distance from the centre at which drones leave their straight routes, over the radius of a
+    ring of all drones."""
+
+    climb_power: int = 6
+    """Power of the distance in the vertical offset, so that layers are separated before drones
+    enter a ring of all of them."""
+
+    min_layered: int = 16
+    """Smallest number of drones that are spread over altitudes among prisms."""
+
+
+TUNING = GuessTuning()
+
 
 MIN_OFFSET = 1e-9
 """Offset of two drones, in separations, below which they are pushed to the right."""
@@ -64,19 +100,19 @@ def pushed_apart(setting: Setting, side: float) -> Array:
     s = _push_samples(grid)
     values = grid.sampled(s)
     rates = grid.sampled(s, 1)
-    smoothing = grid.fitting(s, SMOOTHING_TIME)
+    smoothing = grid.fitting(s, TUNING.smoothing_time)
     coefficients = setting.nominal.copy()
     step = np.zeros_like(coefficients[:, grid.free])
-    for iteration in range(MAX_PUSH_ITERATIONS):
+    for iteration in range(TUNING.max_push_iterations):
         check_time()
         points = np.swapaxes(values @ coefficients, 0, 1)
         velocities = np.swapaxes(rates @ coefficients, 0, 1)
-        fade = max(0.0, 1.0 - iteration / (SIDE_FADE_SHARE * MAX_PUSH_ITERATIONS))
+        fade = max(0.0, 1.0 - iteration / (TUNING.side_fade_share * TUNING.max_push_iterations))
         pushes = _pair_pushes(setting, points, velocities, fade * side)
         pushes += _other_pushes(setting, points)
         if not np.any(pushes):
             break
-        step = MOMENTUM * step + smoothing @ np.swapaxes(pushes, 0, 1)
+        step = TUNING.momentum * step + smoothing @ np.swapaxes(pushes, 0, 1)
         moved = coefficients[:, grid.free] + step
         coefficients[:, grid.free] = inside(setting.task.requirements.arena, moved)
     return on_routes(setting, coefficients, stuck_in_prisms(setting, coefficients))
@@ -88,7 +124,7 @@ def on_routes(setting: Setting, coefficients: Array, drones: NDArray[np.bool_]) 
 
 
 def stuck_in_prisms(
-    setting: Setting, coefficients: Array, share: float = PUSHED_SHARE
+    setting: Setting, coefficients: Array, share: float = TUNING.pushed_share
 ) -> NDArray[np.bool_]:
     """Return the mask (N,) of drones that others have pushed into prisms or gaps too narrow.
 
@@ -113,8 +149,8 @@ def _near(prism: Prism, points: Array, distance: float) -> NDArray[np.bool_]:
 
 
 def _push_samples(grid: Grid) -> Array:
-    """Return the times (SAMPLES · pieces,) at which guesses are pushed."""
-    count = SAMPLES * grid.pieces
+    """Return the times (samples · pieces,) at which guesses are pushed."""
+    count = TUNING.samples * grid.pieces
     return (np.arange(count) + 0.5) / count
 
 
@@ -124,15 +160,15 @@ def _pair_pushes(setting: Setting, points: Array, velocities: Array, side: float
     scale = setting.task.requirements.separation.scale
     scaled = (points * scale).reshape(-1, 3)
     # Time is a fourth coordinate, scaled so that only simultaneous samples are close.
-    time = np.repeat(2.0 * TARGET_SEPARATION * np.arange(samples), drones)
+    time = np.repeat(2.0 * TUNING.target_separation * np.arange(samples), drones)
     tree = cKDTree(np.column_stack([scaled, time]))
-    first, second = tree.query_pairs(TARGET_SEPARATION, output_type="ndarray").T
+    first, second = tree.query_pairs(TUNING.target_separation, output_type="ndarray").T
     offset = scaled[first] - scaled[second]
     velocity = velocities.reshape(-1, 3)
     min_speed = TIE * float(np.max(np.abs(velocity)))
     right = rightward(velocity[first] - velocity[second], min_speed)
     direction = unit(offset + side * right, right, MIN_OFFSET)
-    deficit = np.maximum(TARGET_SEPARATION - np.sum(direction * offset, axis=1), 0.0)
+    deficit = np.maximum(TUNING.target_separation - np.sum(direction * offset, axis=1), 0.0)
     gradient = direction * scale
     factor = 0.5 * deficit / np.sum(gradient * gradient, axis=1)
     pushes = np.zeros((samples * drones, 3))
@@ -158,7 +194,7 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
     """Return pushes (samples, drones, 3) [m] out of prisms, and together along taut tethers."""
     task = setting.task
     pushes = np.zeros_like(points)
-    target = TARGET_SEPARATION * task.requirements.separation.radius
+    target = TUNING.target_separation * task.requirements.separation.radius
     for prism in task.requirements.keep_out:
         near = _near(prism, points, target)
         clearance = prism.clearance(points[near])
@@ -175,50 +211,25 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
     return pushes
 
 
-SCHEDULE_PIECES = 4.0
-"""Number of pieces of a grid for a schedule, over that of a grid for flights as long."""
-
-SCHEDULE_SMOOTHING_TIME = 0.005
-"""Time constant of the filter of a schedule, over its duration."""
-
-
 def scheduled(task: SeparationTask, schedule: Schedule) -> Setting:
     """Return the task with nominal curves along a schedule, on a grid that resolves them."""
-    setting = setting_of(task, SCHEDULE_PIECES * schedule.duration_ratio)
+    setting = setting_of(task, TUNING.schedule_pieces * schedule.duration_ratio)
     grid = setting.grid
     times = np.linspace(0.0, 1.0, schedule.points.shape[1])
     points_at = interp1d(times, schedule.points, axis=1)
     targets = np.asarray(points_at(fit_samples(grid)), dtype=np.float64)
-    nominal = fitted_curves(task, grid, targets, SCHEDULE_SMOOTHING_TIME)
+    nominal = fitted_curves(task, grid, targets, TUNING.schedule_smoothing_time)
     nominal[:, grid.free] = inside(task.requirements.arena, nominal[:, grid.free])
     return replace(setting, nominal=nominal)
-
-
-MIN_CROWD = 32
-"""Smallest number of drones meeting at the same time for which a roundabout is used."""
-
-LAYERS = 2
-"""Number of altitudes of a roundabout, which drones take in turn; it divides the rings' radius."""
-
-RING_FACTOR = 1.06
-"""Radius of a ring over that at which its drones have the TARGET_SEPARATION."""
-
-DETOUR_FACTOR = 1.3
-"""Distance from the centre at which drones leave their straight routes, over the radius of a ring
-of all drones."""
-
-CLIMB_POWER = 6
-"""Power of the distance in the vertical offset, so that layers are separated before drones enter a
-ring of all of them."""
 
 
 def roundabout(setting: Setting) -> Array | None:
     """Return the coefficients (N, count, 3) [m] of curves around a crowd, or None without one.
 
     A crowd meets halfway at one point, where pushes between pairs would amplify rounding. With
-    ``x`` the distance from there over DETOUR_FACTOR radii of a ring of all its drones, the offset
-    to the right is ``(1 - x²)²`` times the radius of a layer's ring, and the vertical offset is
-    ``(1 - x⁶)²`` times the layer's altitude.
+    ``x`` the distance from there over ``detour_factor`` radii of a ring of all its drones, the
+    offset to the right is ``(1 - x²)²`` times the radius of a layer's ring, and the vertical offset
+    is ``(1 - x⁶)²`` times the layer's altitude.
     """
     task = setting.task
     grid = setting.grid
@@ -226,35 +237,32 @@ def roundabout(setting: Setting) -> Array | None:
     halfway = grid.sampled(np.asarray(0.5)) @ setting.nominal
     centre = np.median(halfway, axis=0)
     distance_halfway = np.linalg.norm((halfway - centre) * separation.scale, axis=-1)
-    in_crowd = distance_halfway < TARGET_SEPARATION
+    in_crowd = distance_halfway < TUNING.target_separation
     crowd = np.sum(in_crowd)
-    if crowd < MIN_CROWD:
+    if crowd < TUNING.min_crowd:
         return None
     # Radius (N, 1) [m] of a ring of the whole crowd, whose circumference seats all its drones
-    spacing = 2.0 * TARGET_SEPARATION * separation.radius
-    ring = np.where(in_crowd, RING_FACTOR * spacing * crowd / (2.0 * math.pi), 0.0)[:, None]
+    spacing = 2.0 * TUNING.target_separation * separation.radius
+    ring = np.where(in_crowd, TUNING.ring_factor * spacing * crowd / (2.0 * math.pi), 0.0)[:, None]
     s = _push_samples(grid)
     points = grid.sampled(s) @ setting.nominal
     velocities = grid.sampled(s, 1) @ setting.nominal
     distance = np.linalg.norm((points - centre)[..., :2], axis=-1)
-    detour = DETOUR_FACTOR * ring
+    detour = TUNING.detour_factor * ring
     x = np.divide(distance, detour, out=np.ones_like(distance), where=ring > 0.0)
     lateral = np.maximum(1.0 - x**2, 0.0) ** 2
-    vertical = np.maximum(1.0 - x**CLIMB_POWER, 0.0) ** 2
+    vertical = np.maximum(1.0 - x**TUNING.climb_power, 0.0) ** 2
     right = rightward(velocities.reshape(-1, 3), 0.0).reshape(velocities.shape)
-    offset = (ring / LAYERS * lateral)[..., None] * right
-    layer = np.arange(task.drones)[:, None] % LAYERS - 0.5 * (LAYERS - 1)
-    offset[..., 2] += 2.0 * TARGET_SEPARATION * separation.height * layer * vertical
+    offset = (ring / TUNING.layers * lateral)[..., None] * right
+    layer = np.arange(task.drones)[:, None] % TUNING.layers - 0.5 * (TUNING.layers - 1)
+    offset[..., 2] += 2.0 * TUNING.target_separation * separation.height * layer * vertical
     coefficients = setting.nominal.copy()
     moved = coefficients[:, grid.free] + grid.fitting(s) @ offset
     coefficients[:, grid.free] = inside(task.requirements.arena, moved)
     return coefficients
 
 
-MIN_LAYERED = 16
-"""Smallest number of drones that are spread over altitudes among prisms."""
-
-LAYER_SPACING = 2.0 * TARGET_SEPARATION
+LAYER_SPACING = 2.0 * TUNING.target_separation
 """Distance of such altitudes, in heights of ellipsoids."""
 
 
@@ -269,7 +277,7 @@ def on_layers(setting: Setting) -> Setting | None:
     grid = setting.grid
     arena = task.requirements.arena
     spacing = LAYER_SPACING * task.requirements.separation.height
-    if arena is None or task.drones < MIN_LAYERED:
+    if arena is None or task.drones < TUNING.min_layered:
         return None
     count = 1 + int((arena.upper[2] - arena.lower[2]) / spacing)
     if count == 1:
@@ -284,7 +292,7 @@ def on_layers(setting: Setting) -> Setting | None:
     altitude[by_heading] = altitudes[np.arange(task.drones) * count // task.drones]
     s = _push_samples(grid)
     points = grid.sampled(s) @ setting.nominal
-    share = (1.0 - np.abs(2.0 * s - 1.0) ** CLIMB_POWER) ** 2
+    share = (1.0 - np.abs(2.0 * s - 1.0) ** TUNING.climb_power) ** 2
     offset = np.zeros_like(points)
     offset[..., 2] = share * (altitude[:, None] - points[..., 2])
     nominal = setting.nominal.copy()

@@ -28,48 +28,59 @@ from hitchopt.values import Array, Indices
 Mask = NDArray[np.bool_]
 Node = tuple[int, int, int]
 
-SPACING = 0.25
-"""Distance between neighbouring points of a lattice, in separations."""
 
-MAX_POINTS = 40_000
-"""Maximum number of points; lattices of larger spaces are coarser."""
+@dataclass(frozen=True)
+class LatticeTuning:
+    """Numbers of lattices; ``python -m benchmarks separation`` shows their effect."""
 
-MAX_SPACING = 1.0
-"""Spacing, in separations, above which a lattice resolves no two drones."""
+    spacing: float = 0.25
+    """Distance between neighbouring points of a lattice, in separations."""
 
-COARSER = 1.1
-"""Ratio of spacings of a coarser and a finer lattice."""
+    max_points: int = 40_000
+    """Maximum number of points; lattices of larger spaces are coarser."""
 
-MAX_MOVE = 0.6
-"""Largest distance by which a point is moved away from prisms, over the spacing."""
+    max_spacing: float = 1.0
+    """Spacing, in separations, above which a lattice resolves no two drones."""
 
-MOVES = 4
-"""Number of times that points are moved away from each prism."""
+    coarser: float = 1.1
+    """Ratio of spacings of a coarser and a finer lattice."""
 
-PRISM_TOLERANCE = 1e-3
-"""Tolerance of the distance to prisms, over the radius of drones."""
+    max_move: float = 0.6
+    """Largest distance by which a point is moved away from prisms, over the spacing."""
 
-MARGIN = 3.0
-"""Lattice around starts and goals without an arena, in separations."""
+    moves: int = 4
+    """Number of times that points are moved away from each prism."""
+
+    prism_tolerance: float = 1e-3
+    """Tolerance of the distance to prisms, over the radius of drones."""
+
+    margin: float = 3.0
+    """Lattice around starts and goals without an arena, in separations."""
+
+    max_steps_ratio: int = 5
+    """Maximum number of steps over that of the longest path alone."""
+
+    max_orders: int = 8
+    """Maximum number of orders of priority for each clearance."""
+
+    straight_bonus: float = 0.5
+    """Bonus of a step like the one after it, over squared distances in steps, which are integers.
+    """
+
+
+TUNING = LatticeTuning()
+
 
 CLEARANCES = (1.1, 1.0, 0.9)
 """Separations of drones at the times of a lattice, in the order in which they are tried. Between
 these times drones may come closer; the programs that follow correct it."""
 
-MAX_STEPS_RATIO = 5
-"""Maximum number of steps over that of the longest path alone."""
-
-MAX_ORDERS = 8
-"""Maximum number of orders of priority for each clearance."""
 
 STEPS = np.array(sorted(product((-1, 0, 1), repeat=3), key=lambda step: sum(map(abs, step))))
 """(27, 3): steps from a point to itself, which is waiting, and to its neighbours."""
 
 WAITING: Indices = STEPS[0]
 """(3,): the step of a drone that waits."""
-
-STRAIGHT_BONUS = 0.5
-"""Bonus of a step like the one after it, over squared distances in steps, which are integers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +123,10 @@ class Lattice:
         separation = task.requirements.separation
         box = _box(task)
         size = (box.upper - box.lower) * separation.scale  # in separations
-        spacing = SPACING
-        while np.prod(np.ceil(size / spacing) + 1.0) > MAX_POINTS:
-            spacing *= COARSER
-        if spacing > MAX_SPACING:
+        spacing = TUNING.spacing
+        while np.prod(np.ceil(size / spacing) + 1.0) > TUNING.max_points:
+            spacing *= TUNING.coarser
+        if spacing > TUNING.max_spacing:
             return None
         counts = np.ceil(size / spacing).astype(int) + 1
         axes = [
@@ -123,7 +134,7 @@ class Lattice:
             for lower, upper, count in zip(box.lower, box.upper, counts, strict=True)
         ]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        largest_move = MAX_MOVE * spacing / separation.scale[0]  # [m]
+        largest_move = TUNING.max_move * spacing / separation.scale[0]  # [m]
         points, clear = _moved_away(
             grid, task.requirements.keep_out, separation.radius, largest_move
         )
@@ -169,7 +180,7 @@ def _box(task: SeparationTask) -> Box:
     """Return the box around starts and goals, within the arena."""
     arena = task.requirements.arena
     ends = np.vstack([task.start, task.goal])
-    margin = MARGIN / task.requirements.separation.scale
+    margin = TUNING.margin / task.requirements.separation.scale
     lower = np.min(ends, axis=0) - margin
     upper = np.max(ends, axis=0) + margin
     if arena is None:
@@ -182,14 +193,14 @@ def _moved_away(
 ) -> tuple[Array, Mask]:
     """Return points (…, 3) [m] moved away from prisms, and the mask (…) of those that are clear."""
     points = grid.copy()
-    for _ in range(MOVES):
+    for _ in range(TUNING.moves):
         for prism in prisms:
             clearance = prism.clearance(points)
             deficit = np.clip(radius - clearance.distance, 0.0, largest_move)
             points += deficit[..., None] * clearance.normals
     clear = length(points - grid) <= largest_move
     for prism in prisms:
-        clear &= prism.clearance(points).distance >= radius * (1.0 - PRISM_TOLERANCE)
+        clear &= prism.clearance(points).distance >= radius * (1.0 - TUNING.prism_tolerance)
     return points, clear
 
 
@@ -259,7 +270,7 @@ def prioritized(task: SeparationTask) -> Iterator[Schedule]:
     if longest == 1:  # all drones stay at their points of the lattice
         return
     for clearance in CLEARANCES:
-        paths = _paths(lattice, ends, order, clearance, MAX_STEPS_RATIO * longest)
+        paths = _paths(lattice, ends, order, clearance, TUNING.max_steps_ratio * longest)
         if paths is not None:
             times = max(map(len, paths))
             points = np.stack([lattice.along(_waiting_at_goal(path, times)) for path in paths])
@@ -279,7 +290,7 @@ def _paths(
     horizon: int,
 ) -> list[Indices] | None:
     """Return the paths (times, 3) of all drones, with other orders if need be, or None."""
-    for _ in range(MAX_ORDERS):
+    for _ in range(TUNING.max_orders):
         reservations = Reservations(lattice, clearance)
         paths: dict[int, Indices] = {}
         for drone in order:
@@ -346,6 +357,6 @@ def _step_back(reached: Mask, point: Indices, last: Indices, start: Indices) -> 
     if waits:
         return WAITING
     squared_distances = np.sum((candidates - start) ** 2, axis=1)
-    costs = squared_distances - STRAIGHT_BONUS * np.all(last == STEPS, axis=1)
+    costs = squared_distances - TUNING.straight_bonus * np.all(last == STEPS, axis=1)
     best: Indices = STEPS[int(np.argmin(np.where(possible, costs, np.inf)))]
     return best

@@ -11,6 +11,7 @@ The solver is OSQP. Its status is not trusted: the curves are evaluated.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
@@ -30,21 +31,55 @@ from hitchopt.values import Array, Indices, true_runs
 PLANE_MARGIN = 0.01
 """Margin of every plane, in separations; OSQP's residuals are a few thousandths."""
 
-DEVIATION_WEIGHT = 1.0
-"""Weight of the squared distance to the nominal curves, for lengths relative to the longest route.
-"""
 
-ROUGHNESS_WEIGHT = 3e-7
-"""Weight of the squared third derivative, for such lengths and a duration of one."""
+@dataclass(frozen=True)
+class ProgramTuning:
+    """Weights and ranges of the program; ``python -m benchmarks separation`` shows their effect."""
 
-PLANE_PENALTY = 10.0
-"""Penalty weight of a squared slack of a plane or tether."""
+    roughness_weight: float = 3e-7
+    """Weight of the squared third derivative over that of the squared distance to the nominal
+    curves, for lengths relative to the longest route and a duration of one."""
+
+    plane_penalty: float = 10.0
+    """Penalty weight of a squared slack of a plane or tether."""
+
+    limit_penalty: float = 100.0
+    """Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
+
+    lateral_shares: tuple[float, float] = (0.3, 0.7)
+    """Largest change normal to a derivative, as fractions of its limit: at the limit, and at zero.
+    """
+
+    solver_tolerance: float = 1e-3
+    """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
+
+    near_range: float = 0.1
+    """Distance to their bounds below which rows are enforced at first, where all changes are zero.
+    """
+
+    added_range: float = 0.05
+    """Distance to their bounds below which rows are added together with violated rows."""
+
+    initial_step: float = 0.1
+    """First step size ρ of OSQP."""
+
+    normal_slope: float = 1e-2
+    """Upward slope of horizontal normals per separation."""
+
+    slope_separation: float = 2.0
+    """Separation above which that slope is zero."""
+
+    bounding_share: float = 0.5
+    """Share of its squared distance above which a plane through a hull's nearest point bounds the
+    hull. The share is 1 without rounding if the origin is outside, and at most 0 if it is inside.
+    """
+
+
+TUNING = ProgramTuning()
+
 
 MIN_DIRECTION = 1e-9
 """Smallest length of a scaled vector whose direction is used."""
-
-LIMIT_PENALTY = 100.0
-"""Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
 
 
 def moved_curves(
@@ -129,7 +164,8 @@ def build_program(
     _add_planes(rows, setting, planes, inner.size + n + tethers)
     hessian, gradient = _objective(setting, coefficients)
     hessian = hessian + damping * sp.eye_array(inner.size)
-    weights = np.append(np.full(n, LIMIT_PENALTY / n), np.full(slacks - n, PLANE_PENALTY))
+    of_limits = np.full(n, TUNING.limit_penalty / n)
+    weights = np.append(of_limits, np.full(slacks - n, TUNING.plane_penalty))
     P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
     return QuadraticProgram(P, np.append(gradient, np.zeros(slacks)), *rows.compressed())
 
@@ -137,9 +173,8 @@ def build_program(
 def _objective(setting: Setting, coefficients: Array) -> tuple[sp.csc_array[np.float64], Array]:
     """Return the Hessian and gradient of deviation and roughness in the first variables."""
     free = setting.grid.free
-    deviation_energy, roughness_energy = setting.grid.energies
-    deviation = DEVIATION_WEIGHT * deviation_energy
-    roughness = ROUGHNESS_WEIGHT * roughness_energy
+    deviation, roughness_energy = setting.grid.energies
+    roughness = TUNING.roughness_weight * roughness_energy
     scale = 2.0 * setting.trust / (setting.length_scale**2 * setting.task.drones)
     by_deviation = deviation[free] @ (coefficients - setting.nominal)
     gradient = by_deviation + roughness[free] @ coefficients
@@ -203,10 +238,6 @@ def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> Non
     rows.extend(top + every, slack + every // k, 1.0)
 
 
-LATERAL_SHARES = (0.3, 0.7)
-"""Largest change normal to a derivative, as fractions of its limit: at the limit, and at zero."""
-
-
 def _add_limits(
     rows: Rows, setting: Setting, coefficients: Array, duration: float, slack: int
 ) -> None:
@@ -254,7 +285,7 @@ def _add_limit(
     rows.extend(top + every, slack + every // len(matrix), slack_factor)
 
     unused = np.clip(1.0 - np.linalg.norm(relative, axis=-1), 0.0, 1.0)
-    share = LATERAL_SHARES[0] + np.ptp(LATERAL_SHARES) * unused
+    share = TUNING.lateral_shares[0] + np.ptp(TUNING.lateral_shares) * unused
     lateral = unit(np.cross(along, np.eye(3)[first_smallest(np.abs(along), 1.0)]))
     for axis in (lateral, np.cross(along, lateral)):
         component = np.sum(relative * axis, axis=-1)
@@ -262,20 +293,9 @@ def _add_limit(
         add(axis, -bound - component, bound - component)
 
 
-SOLVER_TOLERANCE = 1e-3
-"""Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
-
-NEAR_RANGE = 0.1
-"""Distance to their bounds below which rows are enforced at first, where all changes are zero."""
-
-ADDED_RANGE = 0.05
-"""Distance to their bounds below which rows are added together with violated rows."""
-
 CHUNK = 100
 """Iterations of OSQP before all rows are checked."""
 
-INITIAL_STEP = 0.1
-"""First step size ρ of OSQP."""
 
 MIN_TIME_LIMIT = 1e-3
 """[s] Smallest time limit for OSQP, in which zero means no limit."""
@@ -296,10 +316,10 @@ def solve_program(program: QuadraticProgram, max_iterations: int) -> Array | Non
     lower = program.lower
     upper = program.upper
     hessian = sp.csc_matrix(sp.triu(program.P))
-    enforced = np.minimum(-lower, upper) < NEAR_RANGE
+    enforced = np.minimum(-lower, upper) < TUNING.near_range
     x = np.zeros(len(program.q))
     dual = np.zeros(len(lower))
-    step = INITIAL_STEP
+    step = TUNING.initial_step
     solver = None
     for _ in range(max_iterations // CHUNK):
         if solver is None:
@@ -324,8 +344,8 @@ def solve_program(program: QuadraticProgram, max_iterations: int) -> Array | Non
             return None
         values = matrix @ x
         excess = np.maximum(lower - values, values - upper)
-        added = ~enforced & (excess > -ADDED_RANGE)
-        if np.any(excess[added] > SOLVER_TOLERANCE):
+        added = ~enforced & (excess > -TUNING.added_range)
+        if np.any(excess[added] > TUNING.solver_tolerance):
             dual[rows] = result.y
             step = result.info.rho_estimate
             solver = None
@@ -338,8 +358,8 @@ def solve_program(program: QuadraticProgram, max_iterations: int) -> Array | Non
 def _settings() -> dict[str, float | bool]:
     """Return the settings of OSQP for the next iterations."""
     settings: dict[str, float | bool] = {
-        "eps_abs": SOLVER_TOLERANCE,
-        "eps_rel": SOLVER_TOLERANCE,
+        "eps_abs": TUNING.solver_tolerance,
+        "eps_rel": TUNING.solver_tolerance,
         "max_iter": CHUNK,
         "polishing": False,
         "verbose": False,
@@ -356,11 +376,6 @@ LEVEL_TOLERANCE = 1e-6
 MIN_HULL_DISTANCE = 1e-6
 """Distance of a hull from the origin, in separations, below which it contains it."""
 
-NORMAL_SLOPE = 1e-2
-"""Upward slope of horizontal normals per separation."""
-
-SLOPE_SEPARATION = 2.0
-"""Separation above which that slope is zero."""
 
 CURVE_SAMPLES = 17
 """Number of samples of a piece that locate its nearest point."""
@@ -442,7 +457,7 @@ def _normals(differences: Array, nearest: Array, distances: Array) -> Array:
     toward_first = nearest.copy()
     toward_first[inside] = points[np.arange(len(points)), best]
     normals = unit(toward_first, EAST, MIN_DIRECTION)
-    slope = NORMAL_SLOPE * np.maximum(SLOPE_SEPARATION - distances, 0.0)
+    slope = TUNING.normal_slope * np.maximum(TUNING.slope_separation - distances, 0.0)
     normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL_TOLERANCE, slope, 0.0)
     return unit(normals)
 
@@ -451,13 +466,6 @@ def _points_of(pieces: Array) -> Array:
     """Return samples (m, CURVE_SAMPLES, 3) of pieces (m, 3, degree + 1)."""
     weights = bernstein.basis(np.linspace(0.0, 1.0, CURVE_SAMPLES), pieces.shape[-1] - 1)
     return np.swapaxes(pieces @ weights.T, 1, 2)
-
-
-BOUNDING_SHARE = 0.5
-"""Share of its squared distance above which a plane through a hull's nearest point bounds the hull.
-
-The share is 1 without rounding if the origin is outside, and at most 0 if it is inside.
-"""
 
 
 def hull_points(differences: Array) -> Array:
@@ -479,7 +487,7 @@ def hull_points(differences: Array) -> Array:
             smallest = np.where(nearer, squared, smallest)
     # A plane through the nearest point bounds the hull unless the origin is inside.
     lowest_product = np.min(np.einsum("dm,dkm->km", nearest, points), axis=0)
-    is_bounding = lowest_product > BOUNDING_SHARE * smallest
+    is_bounding = lowest_product > TUNING.bounding_share * smallest
     return np.where(is_bounding, nearest, 0.0).T
 
 
