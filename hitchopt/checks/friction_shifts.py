@@ -1,84 +1,132 @@
-"""Check ``friction_shift``: how far less friction than the largest moves vertices off their ways.
+"""Checks ``friction_shift`` and ``rest_shift``: where other friction than planned leaves vertices.
 
-Legs lean against the largest friction of ``team.cable_friction``. With less of it they rest ahead
-of their plan, mostly on their ways, on which they keep all distances. The farthest from these is
-the rest with the least friction of the range, since rests depend almost linearly on it. It is
-sampled. Where no leg leans, as in over-travels, friction holds vertices back on their ways.
+``team.cable_friction`` is a range. Legs lean against the largest friction, and vertices over-travel
+to where it stops them; with less of it they are ahead of their plan, or go farther beyond it.
+``hitchopt.hitch.hysteresis`` follows them, at samples, for several frictions of the range:
+
+- ``friction_shift`` is how far they leave their ways in a phase in which cables slide. On these
+  ways, distances are those of the plan; all points of cables leave those of their plan by no more.
+  What stands still allows for it: the limit is the distance that vertices keep from walls and
+  floor, and cables from objects beyond ``separation.object``. Where legs lean it is also
+  ``limits.tracking``, for which distances within the team allow.
+- ``rest_shift`` is how far vertices are from the plan while it rests, as over-travels left them. It
+  depends on their turning points alone, not on speeds. The limit is ``limits.vertex_error``.
+
+Both add a quarter of the largest difference to the neighbours among samples and frictions. The
+vertex of a parabola through three values is beyond the middle one by an eighth of it at most.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
+from hitchopt.checks.arena import ARENA
 from hitchopt.checks.certificate import SAMPLED
+from hitchopt.checks.clearance import OBJECT_CLEARANCE
+from hitchopt.checks.distances import Flags
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.checks.spans import phase_parts
+from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.rest_errors import bends_at, planned_rest, settled
+from hitchopt.hitch.hysteresis import held_vertices
+from hitchopt.hitch.requirements import Arena, Requirements
+from hitchopt.hitch.rest_errors import planned_rest
 from hitchopt.motion.motion import CableState, Motion
-from hitchopt.motion.states import states_at
-from hitchopt.values import Array
+from hitchopt.motion.states import TAUT_RATIO, states_at
+from hitchopt.values import Array, true_runs
 
-SAMPLES = 24
-"""Number of samples of each phase."""
+FRICTIONS = 5
+"""Number of frictions of the range, from the least to the largest."""
+
+MIN_SLIDE = 1e-3
+"""[m] Change of leg lengths below which a phase has no slides."""
+
+AT_REST = 1e-6
+"""Largest speed of vertices where they turn [m/s], and change of drones [m] and tensions [N] at
+rest."""
+
+REST_TIME = 0.5
+"""[s] Shortest rest at which the distance from the plan counts."""
+
+SAMPLE_WAY = 0.1
+"""[m] Largest way between samples."""
+
+SAMPLES = 2
+"""Least number of samples from one rest of vertices to the next."""
+
+LEANING_SAMPLES = 8
+"""The same where legs lean against friction."""
+
+MAX_SAMPLES = 24
+"""Largest number of samples from one rest of vertices to the next."""
+
+WAY_SAMPLES = 200
+"""Number of samples of the ways of a phase."""
+
+HITCHED = frozenset({CableState.HITCHED})
 
 TINY = 1e-12
 """Smallest divisor."""
 
 
-def _leans(motion: Motion) -> bool:
-    """Return whether legs lean against friction."""
-    return motion.team.has_cables and motion.team.friction > 0.0 and motion.leg_tensions_differ
+class Held(NamedTuple):
+    """Vertices for several frictions, at samples."""
+
+    times: Array
+    """(S,) [s], since the start of the motion."""
+
+    planned: Array
+    """(S, points, 3) [m], the plan."""
+
+    vertices: Array
+    """(S, F, points, 3) [m], infinitely far without a balance."""
 
 
-def _largest_shift(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:
-    """Return the largest distance [m] from the ways; None if no leg leans against friction."""
-    if not _leans(motion):
-        return None
-    return max(_shifts(motion), key=lambda shift: shift.worst, default=None)
+def held(motion: Motion, t: Array, frictions: Array, shares: Array) -> Held:
+    """Return where frictions (F,) hold the vertices of a hitch at consecutive times t (S,) [s].
 
-
-def _shifts(motion: Motion) -> Iterator[WorstCase]:
-    """Yield the largest distance [m] of each phase in which legs lean against friction."""
-    hitched = frozenset({CableState.HITCHED})
-    for part in phase_parts(motion):
-        phase = part.motion
-        if not phase.leg_tensions_differ or np.any(phase.holding):
-            continue
-        if not phase.cable_states <= hitched:
-            continue
-        t = np.linspace(0.0, phase.duration, SAMPLES)
-        shifts = distances_from_ways(
-            rests_with_least_friction(phase, t), states_at(phase, t).vertices
-        )
-        sample, vertex = np.unravel_index(int(np.argmax(shifts)), shifts.shape)
-        time = float(motion.drones.breaks[part.pieces.start] + t[sample])
-        yield WorstCase(float(shifts[sample, vertex]), time, (motion.team.point_names[vertex],))
-
-
-def rests_with_least_friction(motion: Motion, t: Array) -> Array:
-    """Return vertices (S, points, 3) [m] at rest with the least friction, at times t (S,) [s].
-
-    Drones hold the planned pulls. Vertices are infinitely far without a rest.
+    At the first of these clasps hold ``shares`` (F,) of their friction, as in ``held_vertices``.
     """
     team, states = motion.team, states_at(motion, t)
     rests = planned_rest(
         team, states.positions, states.vertices, states.tensions, states.cable_forces
     )
-    pulls = motion.pulls.at(motion.drones.breaks[0] + t).reshape(*states.tensions.shape, 2)
-    logarithms = np.log(pulls / states.tensions[..., None])
-    share = team.least_friction / team.friction
-    vertices = settled(
-        team,
-        rests,
-        lengths=np.zeros(states.tensions.shape),
-        offsets=np.zeros(states.positions.shape),
-        friction=share * logarithms / np.maximum(bends_at(team, rests), TINY),
-    )
-    return np.where(np.isfinite(vertices), vertices, np.inf)
+    vertices = held_vertices(team, rests, frictions, shares)
+    return Held(t, states.vertices, np.where(np.isfinite(vertices), vertices, np.inf))
+
+
+def sample_times(motion: Motion, first: int, last: int) -> Array:
+    """Return times (S,) [s] since the start of a motion, on the pieces from first to last.
+
+    They include all times at which vertices rest, and more where these move far or legs lean.
+    """
+    breaks = motion.drones.breaks[first : last + 1]
+    speeds = length(motion.vertices.at(breaks, 1))
+    rests = breaks[np.max(speeds, axis=-1, initial=0.0) <= AT_REST]
+    stops = np.unique(np.concatenate([breaks[:1], rests, breaks[-1:]]))
+    times = [stops[:1]]
+    for start, end in pairwise(stops.tolist()):
+        t = np.linspace(start, end, MAX_SAMPLES + 1)
+        points = np.concatenate([motion.drones.at(t), motion.vertices.at(t)], axis=1)
+        way = float(np.max(np.sum(length(np.diff(points, axis=0)), axis=0)))
+        if way <= AT_REST:
+            times.append(t[-1:])
+            continue
+        pulls = motion.pulls.at(t) - np.repeat(motion.tensions.at(t), 2, axis=-1)
+        least = LEANING_SAMPLES if np.max(np.abs(pulls)) > AT_REST else SAMPLES
+        count = min(max(least, math.ceil(way / SAMPLE_WAY)), MAX_SAMPLES)
+        times.append(np.linspace(start, end, count + 1)[1:])
+    return np.asarray(np.concatenate(times) - motion.drones.breaks[0])
+
+
+def frictions_of(motion: Motion) -> Array:
+    """Return the frictions (F,) of the range that are followed."""
+    return np.linspace(motion.team.least_friction, motion.team.friction, FRICTIONS)
 
 
 def distances_from_ways(places: Array, ways: Array) -> Array:
@@ -90,9 +138,134 @@ def distances_from_ways(places: Array, ways: Array) -> Array:
     return np.asarray(np.min(length(offsets - nearest), axis=1))
 
 
-def _allowed(requirements: Requirements) -> float | None:
-    """Return the tracking error, which distances of vertices allow for [m]; None without one."""
-    return requirements.limits.tube.level or requirements.position_error or None
+def between(values: Array, axes: tuple[int, ...]) -> Array:
+    """Return values plus a quarter of their largest difference to neighbours along axes."""
+    steps = np.zeros_like(values)
+    for axis in axes:
+        change = np.abs(np.diff(values, axis=axis))
+        before, after = [(0, 0)] * values.ndim, [(0, 0)] * values.ndim
+        before[axis], after[axis] = (1, 0), (0, 1)
+        steps = np.maximum(steps, np.maximum(np.pad(change, before), np.pad(change, after)))
+    return np.asarray(values + 0.25 * steps)
+
+
+def _has_friction(motion: Motion) -> bool:
+    """Return whether a hitch that holds nothing has friction."""
+    if not motion.team.has_cables or motion.team.friction == 0.0:
+        return False
+    return bool(np.any(_is_free(motion)))
+
+
+def _is_free(motion: Motion) -> Flags:
+    """Return on which pieces (pieces,) there is a taut hitch that holds nothing."""
+    least = np.min(motion.tensions.coefficients, axis=-1)
+    is_taut = np.all(least >= TAUT_RATIO * motion.team.tension, axis=1)
+    return np.asarray(motion.in_states(HITCHED) & ~motion.holding & is_taut)
+
+
+def _largest_shift(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:
+    """Return the shift [m] that is largest for its limit; None if no cable slides."""
+    if not _has_friction(motion):
+        return None
+    return max(_shifts(motion), key=_excess, default=None)
+
+
+def _excess(shift: WorstCase) -> tuple[float, float]:
+    """Return by how much a shift exceeds its limit, if it has one, and the shift [m]."""
+    limit = math.inf if shift.limit is None else shift.limit
+    return shift.worst - limit, shift.worst
+
+
+def _shifts(motion: Motion) -> Iterator[WorstCase]:
+    """Yield the largest shift [m] of every phase in which cables slide, with its limit."""
+    frictions = frictions_of(motion)
+    for part in phase_parts(motion):
+        phase = part.motion
+        if not np.all(_is_free(phase)):
+            continue
+        lengths = phase.legs.coefficients
+        if np.max(np.ptp(lengths, axis=(0, -1)), initial=0.0) < MIN_SLIDE:
+            continue
+        t = sample_times(phase, 0, len(lengths))
+        found = held(phase, t, frictions, np.zeros(len(frictions)))
+        ways = states_at(phase, np.linspace(0.0, phase.duration, WAY_SAMPLES)).vertices
+        shifts = np.stack(
+            [distances_from_ways(places, ways) for places in found.vertices.swapaxes(0, 1)], axis=1
+        )
+        shifts = between(shifts, (0, 1))
+        sample, _, vertex = np.unravel_index(int(np.argmax(shifts)), shifts.shape)
+        time = float(motion.drones.breaks[part.pieces.start] + t[sample])
+        where = (motion.team.point_names[vertex],)
+        room, binding = _room(phase)
+        limit = room if math.isfinite(room) else None
+        yield WorstCase(float(np.max(shifts)), time, where, limit=limit, binding=binding)
+
+
+def _room(motion: Motion) -> tuple[float, str]:
+    """Return the largest shift [m] that a phase allows for, and the check that limits it."""
+    requirements = motion.requirements
+    error = requirements.limits.tube.level or requirements.position_error
+    leans = bool(error) and motion.leg_tensions_differ
+    rooms = [(error, TRACKING_RADIUS.name) if leans else (math.inf, "")]
+    if requirements.arena is not None:
+        rooms.append((_wall_distance(motion, requirements.arena), ARENA.name))
+    for result in OBJECT_CLEARANCE.span_results(motion):
+        slack = result.check.worst - result.check.number
+        rooms.append((max(slack, 0.0), OBJECT_CLEARANCE.name))
+    return min(rooms)
+
+
+def _wall_distance(motion: Motion, arena: Arena) -> float:
+    """Return the distance of vertices from the walls [m], for all t.
+
+    Since the walls are convex, cables are within them if their vertices and drones are.
+    """
+    corners = np.moveaxis(motion.vertices.coefficients, 2, -1)
+    return float(min(np.min(corners - arena.lower), np.min(arena.upper - corners)))
+
+
+def _largest_rest_shift(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:
+    """Return the largest distance from the plan at rest [m]; None without friction."""
+    if not _has_friction(motion):
+        return None
+    return max(_rest_shifts(motion), key=lambda shift: shift.worst, default=None)
+
+
+def _rest_shifts(motion: Motion) -> Iterator[WorstCase]:
+    """Yield the largest distance from the plan [m] at every rest of a hitch that holds nothing.
+
+    These are rests of at least REST_TIME, and the end of the motion.
+    Before its first slide, a hitch at the start is as planned. One that was tied, or held an
+    object, has any friction.
+    """
+    frictions = frictions_of(motion)
+    breaks = motion.drones.breaks
+    moves = np.ptp(motion.drones.coefficients, axis=-1)
+    changes = np.ptp(motion.tensions.coefficients, axis=-1)
+    still = (np.max(moves, axis=(1, 2)) <= AT_REST) & (np.max(changes, axis=1) <= AT_REST)
+    for first, last in true_runs(_is_free(motion)):
+        runs = first + np.array(true_runs(still[first:last]), dtype=np.intp).reshape(-1, 2)
+        lasting = breaks[runs[:, 1]] - breaks[runs[:, 0]] >= REST_TIME
+        ends = breaks[runs[lasting, 1]] - breaks[0]
+        shares = np.array([0.0] if first == 0 else [-1.0, 1.0])
+        t = sample_times(motion, first, last)
+        found = held(motion, t, np.tile(frictions, len(shares)), np.repeat(shares, len(frictions)))
+        offsets = length(found.vertices - found.planned[:, None])
+        offsets = offsets.reshape(len(t), len(shares), len(frictions), -1)
+        counts = np.isin(t, ends)
+        counts[-1] |= last == len(still)
+        for sample in np.flatnonzero(counts).tolist():
+            shifts = between(offsets[sample], (1,))
+            vertex = int(np.unravel_index(int(np.argmax(shifts)), shifts.shape)[-1])
+            time = float(breaks[0] + t[sample])
+            yield WorstCase(float(np.max(shifts)), time, (motion.team.point_names[vertex],))
+
+
+def _limit(requirements: Requirements) -> float | None:
+    """Return infinity if phases may limit shifts, else None."""
+    error = requirements.limits.tube.level or requirements.position_error
+    is_limited = error or requirements.arena is not None or requirements.objects
+    return math.inf if is_limited else None
 
 
 FRICTION_SHIFT = ReportRule(
@@ -100,15 +273,36 @@ FRICTION_SHIFT = ReportRule(
     "m",
     "max",
     _largest_shift,
-    limit=_allowed,
-    remedy="state a larger least friction (cable_friction: [least, largest]), or move more slowly",
+    limit=_limit,
+    remedy="state a larger least friction (cable_friction: [least, largest]), move more slowly, or "
+    "farther from objects and walls",
     free_remedy="",
     assumes_gamma=False,
-    applies=_leans,
+    applies=_has_friction,
     group="distances",
     key="limits.tracking",
     method=SAMPLED,
-    proves="the largest distance [m] from their ways at which vertices rest with the least "
-    "friction where legs lean, at samples",
-    unproven="times between samples, over-travels, swings, objects",
+    proves="the largest distance [m] from their ways at which vertices are with any friction of "
+    "its range where cables slide, for which objects and walls leave room",
+    unproven="times and frictions between samples, swings, held objects; distances to other teams, "
+    "and within a team where no leg leans",
+)
+
+REST_SHIFT = ReportRule(
+    "rest_shift",
+    "m",
+    "max",
+    _largest_rest_shift,
+    limit=lambda requirements: requirements.limits.vertex_error,
+    remedy="let vertices over-travel (settle: auto), give them room, or use smoother cables "
+    "(cable_friction)",
+    free_remedy="",
+    assumes_gamma=False,
+    applies=_has_friction,
+    group="distances",
+    key="limits.vertex_error",
+    method=SAMPLED,
+    proves="the largest distance [m] from the plan at which any friction of its range holds a "
+    "vertex while the plan rests, for any course of time",
+    unproven="frictions between samples, swings, objects",
 )

@@ -19,7 +19,7 @@ from hitchopt.checks import (
     support,
 )
 from hitchopt.checks.downwash import DOWNWASH
-from hitchopt.checks.friction_shifts import FRICTION_SHIFT
+from hitchopt.checks.friction_shifts import FRICTION_SHIFT, REST_SHIFT
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, FlightReport, Quantity, ReportRule
 from hitchopt.checks.tracking import TRACKING_RADIUS
@@ -55,7 +55,7 @@ RULES = (
 PART_REPORTS = (TRACKING_RADIUS, FRICTION_SHIFT)
 """Reports of each team whose values of a joined motion follow from those of its parts."""
 
-TEAM_REPORTS = (*PART_REPORTS, VERTEX_ERROR)
+TEAM_REPORTS = (*PART_REPORTS, REST_SHIFT, VERTEX_ERROR)
 """Reports of each team."""
 
 FLIGHT_REPORTS = (stops.STOPPABLE,)

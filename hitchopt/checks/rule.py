@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import KW_ONLY, dataclass
 from typing import Generic, NamedTuple, TypeVar
@@ -301,6 +302,8 @@ class ReportRule(Quantity):
 
     evaluate: Callable[[Motion, SpanResults, float], WorstCase | None]
     limit: Callable[[Requirements], float | None]
+    """The limit; None if it is not limited, infinity if its worst case states whether it is."""
+
     remedy: str
     free_remedy: str
     assumes_gamma: bool = True
@@ -315,7 +318,8 @@ class ReportRule(Quantity):
         if worst_case is None:
             return None
         assumed = gamma if self.assumes_gamma else None
-        return worst_case.check(self, self.limit(motion.requirements), assumed)
+        limit = self.limit(motion.requirements)
+        return worst_case.check(self, None if limit == math.inf else limit, assumed)
 
 
 @dataclass(frozen=True, eq=False)

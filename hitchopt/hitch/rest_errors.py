@@ -285,12 +285,6 @@ def settled(
     return np.asarray(nodes[:, energy.points])
 
 
-def bends_at(team: Team, samples: Mapping[str, Array]) -> Array:
-    """Return angles (S, n, 2) [rad] by which cables bend at their clasps, as planned."""
-    energy = energy_of(team, loops_of(team), samples)
-    return energy.bends(energy.start)
-
-
 def longest_period(team: Team, samples: Mapping[str, Array]) -> float:
     """Return the longest period [s] with which a hitch at rest (S = 1) swings without friction.
 

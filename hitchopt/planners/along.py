@@ -63,6 +63,9 @@ def plan_of(
 OBSTACLE_CHECKS = names_of(distances_from("objects"))
 """Checks of obstacles, over or around which hitches and objects fly."""
 
+DETOUR_CHECKS = OBSTACLE_CHECKS | {"friction_shift"}
+"""Checks whose violations detours may repair."""
+
 MAX_DETOURS = 6
 """Maximum number of detours of one path that are tried."""
 
@@ -90,7 +93,7 @@ def past_obstacles(
         """Yield the plan itself, and those on detours."""
         yield Candidate("route", partial(require_certified, direct))
         violated = {check.name for check in direct.certificate.violated}
-        if path is not None and violated <= OBSTACLE_CHECKS:
+        if path is not None and violated <= DETOUR_CHECKS:
             for shift in detours(path, task.requirements)[:MAX_DETOURS]:
                 yield Candidate("detour", partial(on_detour, path, shift))
 

@@ -23,6 +23,7 @@ from .plan import (
 )
 from .reading import UnreadableError, read
 from .request import requested
+from .slides import friction_shifts, rest_shifts
 from .spans import (
     MIN_TENSION,
     SAMPLED,
@@ -31,7 +32,7 @@ from .spans import (
     prove,
     worst_row,
 )
-from .statics import friction_shifts, vertex_errors
+from .statics import vertex_errors
 from .teams import Pair, arc_distances, between_plans, object_distances
 from .tying import bent_cables, free_cables
 
@@ -78,7 +79,7 @@ def plan_rows(p: Plan) -> Iterator[Row]:
         (resting, gripped, steady, hinged, clear_held), range(len(p.bodies))
     ):
         yield from check_of(p, b)
-    yield from (*jumps(p), *interlacing(p), *vertex_errors(p), *friction_shifts(p))
+    yield from (*jumps(p), *interlacing(p), *vertex_errors(p), *friction_shifts(p), *rest_shifts(p))
 
 
 def distances(p: Plan) -> Iterator[Row]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from .arithmetic import Array, G, Items, norm
 from .plan import Plan, tube_of
-from .spans import SAMPLED, Row, Worst, worst_row
+from .spans import Row, Worst, worst_row
 
 AXIAL = 1e4  # [N] stiffness EA of cables to stretch
 STIFFEST = 36.0  # [1/s²] stiffness over mass of a position loop that states none
@@ -25,7 +25,6 @@ LEVELS = np.linspace(0.1, 1.0, 10)  # fractions of the errors, one after the oth
 ITERATIONS = 30  # of Newton's method, at each level
 SOLVED = 1e-9  # [m] largest last step
 STEP = 1e-30  # step of complex-step derivatives
-PLAIN = 1e-9  # [N] of pulls that equal those of edges
 
 # Horizontal and vertical gains
 PER_MASS = {  # [1/s²] default gains kp of controllers over the mass
@@ -245,43 +244,6 @@ def rests(p: Plan) -> Iterator[tuple[float, Rest]]:
                 places.append(drones)
                 at = float(p.breaks[q - end])
                 yield at, Rest(p, drones, p.points.c[0][q, p.V, :, end], T)
-
-
-def friction_shifts(p: Plan) -> Iterator[Row]:
-    """Yield the row of how far vertices leave their ways with the least friction, if limited.
-
-    It is evaluated at the starts of pieces on which legs pull more or less than their edges.
-    """
-    if not p.n or not p.frictional or not p.mu or not p.tube[0]:
-        return
-    stated = p.settings["team"]["cable_friction"]
-    least = min(stated) if isinstance(stated, list) else 0.0
-    free = (p.state == "hitched") & ~np.any(p.held, axis=0)
-    values = list[Worst]()
-    for i in range(len(p.phases)):
-        on = np.flatnonzero((p.phase == i) & free)
-        of_vertices = p.points.c[0][on][:, p.V]
-        T, pulls = p.tensions.c[0][on, :, 0], p.pulls.c[0][on, :, 0]
-        leans = np.max(np.abs(pulls - np.repeat(T, 2, axis=1)), axis=(1, 2), initial=0.0) > PLAIN
-        for k, q in zip(np.flatnonzero(leans), on[leans], strict=True):
-            corners = of_vertices[k, ..., 0]
-            rest = Rest(p, p.points.c[0][q, : p.N, :, 0], corners, T[k, :, 0], pulls[k, :, 0])
-            places = rest.places(rest.settled(least / p.mu * rest.errors))
-            ways = np.concatenate([of_vertices[..., 0], of_vertices[-1:, ..., -1]])
-            off = distances_from(ways, places)
-            values += zip(off.tolist(), [float(p.breaks[q])] * len(off), p.labels[p.V], strict=True)
-    if values:
-        row = worst_row("friction_shift", "m", p.tube[0], values)
-        yield row._replace(verdict=SAMPLED) if row.verdict == "proven" else row
-
-
-def distances_from(ways: Array, places: Array) -> Array:
-    """Return the distances (P,) [m] of places (P, 3) from polylines (points, P, 3)."""
-    start, along = ways[:-1], np.diff(ways, axis=0)
-    share = np.sum((places - start) * along, axis=-1) / np.maximum(norm(along) ** 2, STEP)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
-    off = np.min(norm(places - nearest), axis=0)
-    return np.where(np.isfinite(off), off, np.inf)
 
 
 def vertex_errors(p: Plan) -> Iterator[Row]:

@@ -12,7 +12,6 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify
-from hitchopt.checks.friction_shifts import distances_from_ways, rests_with_least_friction
 from hitchopt.motion.motion import Motion
 from hitchopt.planners import settling
 from hitchopt.planners.morph.friction import (
@@ -33,7 +32,6 @@ from hitchopt.steps.moving import (
     Transport,
 )
 from hitchopt.steps.tying import Form
-from hitchopt.view.style import verdict
 from tests.helpers.clasp_balance import unit
 
 POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
@@ -159,34 +157,6 @@ def test_remarks_say_whether_legs_lean(
     assert LEANING in remark if leans else "lean" not in remark
     assert "limits bind" not in remark
     assert plan.motion.leg_tensions_differ == leans
-
-
-def test_less_friction_moves_vertices_less_the_nearer_it_is_to_what_legs_lean_against(
-    tmp_path: Path,
-) -> None:
-    """Between the least friction and that of the plan, vertices rest ahead on their ways."""
-    plan = slid(MOVE, limits=ho.Limits(tracking=0.05))
-    motion, check = plan.motion, plan.certificate["friction_shift"]
-    t = np.linspace(0.0, plan.phases[0].end, 24)
-    planned = plan.at(t).vertices
-    shifts, moves = list[float](), list[float]()
-    for least in (0.0, 0.04, 0.08, 0.1):
-        ranged = replace(motion, team=replace(motion.team, cable_friction=(least, 0.1)))
-        rests = rests_with_least_friction(ranged, t)
-        shifts.append(float(np.max(distances_from_ways(rests, planned))))
-        moves.append(float(np.max(np.linalg.norm(rests - planned, axis=-1))))
-    assert np.all(np.diff(shifts) < 0.0)
-    assert np.all(np.diff(moves) < 0.0)
-    assert moves[-1] < 1e-3
-    assert moves[0] > 0.02
-    assert check.worst == pytest.approx(shifts[0], rel=0.02)
-    assert (check.limit, check.holds, check.method) == (0.05, True, "sampled")
-    assert verdict(plan.certificate).endswith("; at samples: friction_shift")
-    plan.save(tmp_path)
-    (row,) = (row for row in verify.verify(tmp_path / "plan.npz") if row.name == "friction_shift")
-    assert row.worst == pytest.approx(check.worst, rel=0.05)
-    assert row.verdict == "within, at samples"
-    assert verify.verdict([row]).endswith("; only at samples: friction_shift")
 
 
 def test_legs_lean_less_if_less_friction_moved_vertices_off_their_ways() -> None:
