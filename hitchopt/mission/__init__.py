@@ -1,1 +1,6 @@
-"""Problem files, and a problem to a plan, step by step."""
+"""Problem files, and a problem to a plan, step by step.
+
+A file is read (``loading``) into a ``problem``: teams with their ``starts``, steps in a valid
+``step_order``, ``objects`` and ``others``. ``solving`` plans its steps, with a ``cache``, and
+``teams`` fly on one clock. Refusals get ``advice``, or ``repair`` tries ``trials`` of ``changes``.
+"""

@@ -1,13 +1,13 @@
 """Planners: each takes hitches and requirements, and returns motions or the binding limits.
 
-A planner is a frozen record of its inputs with a ``problem``, the mathematical problem, and
-``solve()``: ``BlendedMorph``, ``ActionMorph``, ``OptimisedMorph``, ``DirectApproach``,
-``GatheredApproach``, ``CarriedMove`` and ``SeparatedCurves``. The route without a search is a
-function, ``straight_path``; ``motion_along`` times every path.
+A planner is a frozen record of its inputs with ``solve()``: ``ActionMorph``, ``OptimisedMorph``,
+``DirectApproach``, ``GatheredApproach``, ``CarriedMove`` and ``SeparatedCurves``. The route without
+a search is a function, ``straight_path``; ``motion_along`` times every path.
 
 Packages plan geometry and timing; the modules beside them decide what a step tries. A step gives
 them a ``StepTask`` and takes a ``StepPlan`` (``task``): at rest (``rests``), to the hitch at its
-end (``ends``) along certified ``routes`` with ``compensation`` of friction, ``blending`` steps,
-``tying`` a hitch, ``enclosing`` and taking objects by ``grasps``, ``straddling`` one with two
-cables, or in ``swarms``.
+end (``ends``) ``along`` a given path or the first certified one of ``routes``, which may be an
+``optimised_route``, with ``compensation`` of friction; ``blending`` steps, ``tying`` a hitch,
+``enclosing`` and taking objects by ``grasps``, ``straddling`` one with two cables, or in
+``swarms``.
 """

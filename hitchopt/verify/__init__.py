@@ -19,6 +19,9 @@ itself and the coordinates. With ``limits.tracking``, distances are proven twice
 the certificate, and with the tracking errors of all drones, which bound ``tracking_radius``.
 Excluded are ``stoppable``, ``survivable`` without ``limits.survive``, and the tracking radius
 unless it is limited.
+
+To read it, begin with ``plan.py`` (what a file has), ``arithmetic.py`` and ``spans.py`` (what a
+proof is), and ``cables.py`` (the formulas of taut cables); ``driver.py`` has the order of rows.
 """
 
 from .driver import PASSING as PASSING
