@@ -66,10 +66,13 @@ TINY = 1e-4
 MIN_LEG = 0.02
 """[m] Unstretched length below which a segment's stiffness no longer grows."""
 
-SWEEPS = 2
-"""Iterations of the ratios of tensions at the clasps: vertices are within 0.05 mm of those with
-many more, or within 1 cm at edges of 0.1 m. Slips at both ends of an edge are solved for together,
-since otherwise they excite short edges."""
+MAX_SWEEPS = 8
+"""Most iterations of the slips of one time step. Slips at both ends of an edge are solved for
+together, since otherwise they excite short edges."""
+
+SLIP_TOLERANCE = 1e-6
+"""[m] Change of slips below which they have converged, mostly in one iteration: vertices are within
+a micrometre of those with many more, or within a millimetre at edges of 0.1 m."""
 
 
 class Network:
@@ -85,10 +88,11 @@ class Network:
     differences: matrix (nodes, segments) from positions to the segments' vectors.
     on_nodes: matrix (segments, nodes) from pulls of segments to forces on their nodes.
     halves: halves of each segment at its two nodes (segments, nodes).
-    legs, edges: segments at the ends (2n,); without a leg both are the edge.
+    beside: segments at the ends (4n,): first their legs, then their edges; without a leg, twice the
+        edge.
     at_clasps: ends of the cables ahead of and behind each clasp (2, clasps).
-    upward: 1 at starts of edges, where cables come from their legs, and -1 at their ends (2n,).
     fixed: whether an end is that of a chain, through which nothing slides (2n,).
+    to_ends: signs (4n,) of the rises of these segments, from their middles to the ends.
     others: matrix (2n, 2n) from values at ends to those at the edges' other ends.
     lengthening: matrix (2n, segments) from slips to changes of unstretched lengths.
     parts: matrix (2n, 2 · clasps) from x and y of the clasps to their common and their opposite
@@ -116,13 +120,14 @@ class Network:
         self.halves: Array = 0.5 * np.abs(between)
         segments = np.zeros((robots, 3), dtype=np.intp)
         segments[self.cables, kinds] = np.arange(len(kinds))
-        self.edges = np.tile(segments[:, 1], 2)
+        edges = np.tile(segments[:, 1], 2)
         self.fixed = ~layout.has_leg.T.ravel()
-        self.legs = np.where(self.fixed, self.edges, segments[:, [0, 2]].T.ravel())
-        self.upward = np.repeat([1.0, -1.0], robots)
+        legs = np.where(self.fixed, edges, segments[:, [0, 2]].T.ravel())
+        self.beside = np.concatenate([legs, edges])
+        self.to_ends = np.repeat([1.0, -1.0, -1.0, 1.0], robots)
         self.others: Array = np.roll(np.eye(2 * robots), robots, axis=0)
         each = np.eye(len(kinds))
-        self.lengthening: Array = each[self.legs] - each[self.edges]
+        self.lengthening: Array = each[legs] - each[edges]
         self.at_clasps = np.stack([layout.ahead, robots + layout.behind])
         ahead, behind = np.eye(2 * robots)[self.at_clasps]
         common, opposite = 1.0 + math.cos(CROSSING), 1.0 - math.cos(CROSSING)
@@ -187,12 +192,12 @@ class ClaspWorld:
         taut = np.maximum(tension[network.cables], self._slack)
         self.tensions = np.tile(taut, (flights, 1))
         # From edges to legs, in the last steps (flights, 2n) [m]
-        self._slips = self._last_slips = np.zeros((flights, len(network.legs)))
+        self._slips = self._last_slips = np.zeros((flights, len(network.fixed)))
         self._eigenvalues = np.tile(network.eigenvalues, (flights, 1))
         self._multiplier = np.zeros_like(self._eigenvalues)  # λ in the last step, for both parts
         self._shrinking = np.ones_like(self._eigenvalues)  # by it
         self._rigid = np.tile(np.where(network.fixed, np.inf, 0.0), (flights, 1))
-        self._rise = np.tile(0.5 * self._weight * network.upward, (flights, 1))
+        self._to_ends = np.tile(0.5 * self._weight * network.to_ends, (flights, 1))
         load = np.concatenate([np.zeros(layout.points), team.mass])
         load[layout.clasps] = team.load
         carried = density * (network.shares(chords) * team.cable_length[network.cables])
@@ -251,14 +256,14 @@ class ClaspWorld:
         vectors = self._positions @ self._network.differences
         vectors = np.moveaxis(self._of_nodes(vectors), 0, -1)
         pulls = np.maximum(self.tensions, 0.0)[..., None] * unit(vectors)
-        ends = self._network.at_clasps[0]
-        legs, edges = self._network.legs[ends], self._network.edges[ends]
-        return length(pulls[:, edges] - pulls[:, legs])
+        legs, edges = np.split(self._network.beside, 2)
+        ahead = self._network.at_clasps[0]
+        return length(pulls[:, edges[ahead]] - pulls[:, legs[ahead]])
 
     @property
     def shortest_leg(self) -> tuple[float, int]:
         """Unstretched length [m] and clasp of the shortest leg of all flights."""
-        legs = self._network.legs[self._network.at_clasps]
+        legs = self._network.beside[self._network.at_clasps]
         lengths = np.minimum.reduce(self._unstretched[:, legs], axis=(0, 1))
         clasp = int(np.argmin(lengths))
         return float(lengths[clasp]), clasp
@@ -268,9 +273,11 @@ class ClaspWorld:
         self._thrusts, self._moments, self._forces = thrusts, moments, forces
 
     def step(self, seconds: float) -> None:
-        """Advance by some time, with the thrusts' directions at its middle."""
-        self._turn(0.5 * seconds)
-        applied = self._forces + self._thrusts[:, None] * self._attitudes[:, :, 2]
+        """Advance by some time, with the thrusts' mean directions."""
+        before = self._attitudes[:, :, 2]
+        self._turn(seconds)
+        directions = 0.5 * (before + self._attitudes[:, :, 2])
+        applied = self._forces + self._thrusts[:, None] * directions
         constant = self._gravity.copy()  # forces during the step [N]
         of_drones = self._of_nodes(constant)[:, :, self._points :]
         of_drones += applied.T.reshape(3, self._flights, -1)
@@ -281,7 +288,6 @@ class ClaspWorld:
             force = constant + self._cable_forces(dt)
             self._velocities = keep * self._velocities + per_force * force
             self._positions = self._positions + dt * self._velocities
-        self._turn(0.5 * seconds)
 
     def _turn(self, dt: float) -> None:
         """Turn the drones for some time [s]."""
@@ -329,10 +335,11 @@ class ClaspWorld:
 
     def _wraps(self, vectors: Array, chords: Array) -> Array:
         """Return the angles (flights, 2n) by which cables bend at the edges' ends."""
-        legs, edges, flights = self._network.legs, self._network.edges, self._flights
-        products = vectors.take(legs, -1) * vectors.take(edges, -1)
+        flights, ends = self._flights, self._slips.shape[1]
+        beside, sizes = (each.take(self._network.beside, -1) for each in (vectors, chords))
+        products = beside[:, :ends] * beside[:, ends:]
         sums = products[:flights] + products[flights:-flights] + products[-flights:]
-        cosines = sums / (chords.take(legs, -1) * chords.take(edges, -1))
+        cosines = sums / (sizes[:, :ends] * sizes[:, ends:])
         return np.asarray(np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0)))
 
     def _returned(self, wraps: Array, rises: Array, trial: Array, stiffness: Array) -> Array:
@@ -342,16 +349,16 @@ class ClaspWorld:
         [m]. ``trial`` are the tensions [N] of cables that stick, ``stiffness`` [N/m] their increase
         per extension.
         """
-        network = self._network
-        legs, edges, others = network.legs, network.edges, network.others
+        network, ends = self._network, wraps.shape[1]
+        others, beside = network.others, network.beside
         limits = np.maximum(self.friction * wraps, TINY)
         # Tensions at the clasps' heights, from those at the middles of the segments
-        leg = np.maximum(trial.take(legs, -1) + self._rise * rises.take(legs, -1), TINY)
-        edge = trial.take(edges, -1) - self._rise * rises.take(edges, -1)
-        leg_stiffness = stiffness.take(legs, -1) + self._rigid
-        edge_stiffness = stiffness.take(edges, -1)
+        tensions = trial.take(beside, -1) + self._to_ends * rises.take(beside, -1)
+        leg, edge = np.maximum(tensions[:, :ends], TINY), tensions[:, ends:]
+        stiffness = stiffness.take(beside, -1)
+        leg_stiffness, edge_stiffness = stiffness[:, :ends] + self._rigid, stiffness[:, ends:]
         slips = 2.0 * self._slips - self._last_slips
-        for _ in range(SWEEPS):
+        for _ in range(MAX_SWEEPS):
             added = edge_stiffness * slips.dot(others)
             z = np.log(leg / np.maximum(edge + added, TINY)) / limits
             nearest = self._nearest(z)
@@ -367,7 +374,9 @@ class ClaspWorld:
             alone = (leg - ratio * (edge + follows * added)) / stiffness
             response = (1.0 - follows) * coupling / stiffness
             both = alone - response * alone.dot(others)
-            slips = both / (1.0 - response * response.dot(others))
+            estimate, slips = slips, both / (1.0 - response * response.dot(others))
+            if np.maximum.reduce(np.abs(slips - estimate), axis=None) < SLIP_TOLERANCE:
+                break
         self._last_slips, self._slips = self._slips, slips
         return slips
 
