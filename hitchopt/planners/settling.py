@@ -72,7 +72,7 @@ MAX_JERK = 8.0
 
 BOTH_SLIDE = 0.5
 """Share of the friction of one cable in that of two that slide at one clasp: the sine of half the
-angle of 60° at which simulated cables cross there."""
+angle at which they cross there, of 60° in equilateral triangles."""
 
 
 def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) -> StepPlan:

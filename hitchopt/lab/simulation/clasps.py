@@ -11,13 +11,16 @@ of the weight acts on each end.
 Masses. A clasp has half of the mass of the four segments that end at it, and its load. Clasps of
 cables without weight have a small mass, but no weight.
 
-Friction. A cable sticks to its clasp while ``|ln(T_leg/T_edge)| < μ θ``, where θ is its angle of
-wrap (the capstan equation). Both cables of a clasp share one contact, in which friction opposes
-their relative velocity and is at most μ times the contact force. Their tangents cross there at an
-angle α. With z = (x, y), their ``ln(T_leg/T_edge) / (μ θ)``, the components of such a friction
-along both tangents satisfy
+Friction. Edges and legs of a clasp are in one plane, where each cable turns by the angle θ between
+its edges. Taut cables twist about each other there, by half a turn of a double helix around the
+bisector: each passes under the other and over it. Tangents of the helix cross at θ, and cables bend
+by ``π sin(θ/2)`` along it, more than by θ, whatever their thickness. So a cable that slides alone
+has ``|ln(T_leg/T_edge)| = μ π sin(θ/2)``, by the capstan equation. Both share one contact, in which
+friction opposes their relative velocity and is at most μ times the contact force. With z = (x, y),
+their ``ln(T_leg/T_edge) / (μ π sin(θ/2))``, the components of such a friction along both tangents
+satisfy
 
-    zᵀ G z = x² + y² + 2 x y cos α ≤ sin² α.
+    zᵀ G z = x² + y² + 2 x y cos θ ≤ sin² θ.
 
 Slips maximise the dissipation: they are normal to this ellipse. Each time step takes the tensions
 of stuck cables, and returns z to the ellipse along its normal by slips (return mapping, as in
@@ -39,12 +42,6 @@ from hitchopt.values import Array
 AXIAL_STIFFNESS = 100.0
 """[N] Axial stiffness EA: cables stretch by 0.4 % at 0.4 N, which their planned length includes."""
 
-CROSSING = math.radians(60.0)
-"""[rad] Angle α at which the tangents of both cables of a clasp cross.
-
-It is fitted, not derived: after three morphs of a triangle at μ = 0.1, vertices rest within 0.8 cm
-of those of ropes with links of 10 mm. With 45° and 75° they are up to 0.7 and 1.1 cm off."""
-
 MAX_STEP = 0.001
 """[s] Longest time step of the cables. Steps of 2 ms excite the drones on their elastic cables."""
 
@@ -61,7 +58,8 @@ SLACK_SAG = 0.25
 """Sag over chord of a cable whose tension is not computed any further."""
 
 TINY = 1e-4
-"""[N] Smallest tension in ratios. Also the smallest μ θ, which moves vertices by under 0.1 mm."""
+"""[N] Smallest tension in ratios. Also the smallest limit of their logarithms, which moves vertices
+by under 0.1 mm, and half-axis of the ellipse."""
 
 MIN_LEG = 0.02
 """[m] Unstretched length below which a segment's stiffness no longer grows."""
@@ -70,7 +68,7 @@ MAX_SWEEPS = 8
 """Most iterations of the slips of one time step. Slips at both ends of an edge are solved for
 together, since otherwise they excite short edges."""
 
-SLIP_TOLERANCE = 1e-6
+SLIP_TOLERANCE = 1e-7
 """[m] Change of slips below which they have converged, mostly in one iteration: vertices are within
 a micrometre of those with many more, or within a millimetre at edges of 0.1 m."""
 
@@ -96,12 +94,13 @@ class Network:
     others: matrix (2n, 2n) from values at ends to those at the edges' other ends.
     lengthening: matrix (2n, segments) from slips to changes of unstretched lengths.
     parts: matrix (2n, 2 · clasps) from x and y of the clasps to their common and their opposite
-        parts, over the half-axes of the ellipse.
+        parts, along the axes of the ellipse.
     joined: its inverse (2 · clasps, 2n), with zeros at the ends of chains.
     averages: matrix (2 · clasps, 2n) from values of the parts to their averages, at the ends.
+    crossings: matrix (2n, 2 · clasps) from cosines at the ends to the average of each clasp, for
+        its common part, and its negative.
     sums, pairs: matrices from values of the parts (2 · clasps, 2 · clasps), or of the ends (2n,
         2n), to the sums of both at their clasp.
-    eigenvalues: of G, for these parts (2 · clasps,).
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -130,13 +129,10 @@ class Network:
         self.lengthening: Array = each[legs] - each[edges]
         self.at_clasps = np.stack([layout.ahead, robots + layout.behind])
         ahead, behind = np.eye(2 * robots)[self.at_clasps]
-        common, opposite = 1.0 + math.cos(CROSSING), 1.0 - math.cos(CROSSING)
-        self.eigenvalues = np.repeat([common, opposite], len(ahead))
-        sizes: Array = np.sqrt(2.0 * self.eigenvalues[:, None]) / math.sin(CROSSING)
-        directions: Array = np.concatenate([ahead + behind, ahead - behind])
-        self.parts: Array = (0.5 * sizes * directions).T.copy()
-        self.joined: Array = directions / sizes
-        self.averages: Array = 0.5 * np.abs(directions)
+        self.joined: Array = np.concatenate([ahead + behind, ahead - behind])
+        self.parts: Array = 0.5 * self.joined.T
+        self.averages: Array = 0.5 * np.abs(self.joined)
+        self.crossings: Array = self.averages.T * np.repeat([1.0, -1.0], len(ahead))
         self.sums: Array = np.tile(np.eye(len(ahead)), (2, 2))
         self.pairs: Array = (ahead + behind).T @ (ahead + behind)
 
@@ -193,9 +189,8 @@ class ClaspWorld:
         self.tensions = np.tile(taut, (flights, 1))
         # From edges to legs, in the last steps (flights, 2n) [m]
         self._slips = self._last_slips = np.zeros((flights, len(network.fixed)))
-        self._eigenvalues = np.tile(network.eigenvalues, (flights, 1))
-        self._multiplier = np.zeros_like(self._eigenvalues)  # λ in the last step, for both parts
-        self._shrinking = np.ones_like(self._eigenvalues)  # by it
+        self._multiplier = np.zeros((flights, len(network.joined)))  # λ, for both parts
+        self._shrinking = np.ones_like(self._multiplier)  # by it
         self._rigid = np.tile(np.where(network.fixed, np.inf, 0.0), (flights, 1))
         self._to_ends = np.tile(0.5 * self._weight * network.to_ends, (flights, 1))
         load = np.concatenate([np.zeros(layout.points), team.mass])
@@ -313,7 +308,7 @@ class ClaspWorld:
         stiffness = 1.0 / (stretch + 2.0 * (added / tension))
         extensions = arcs - lengths - lengths * before / AXIAL_STIFFNESS
         trial = np.maximum(before + extensions * stiffness, -self._slack)
-        slips = self._returned(self._wraps(vectors, chords), rises, trial, stiffness)
+        slips = self._returned(self._cosines(vectors, chords), rises, trial, stiffness)
         change = slips.dot(network.lengthening)
         self.tensions = tension = trial - change * stiffness
         self._unstretched = lengths + change
@@ -333,25 +328,26 @@ class ClaspWorld:
         level = squares[:flights] + squares[flights:-flights]
         return level, np.sqrt(level + squares[-flights:]), vectors[-flights:]
 
-    def _wraps(self, vectors: Array, chords: Array) -> Array:
-        """Return the angles (flights, 2n) by which cables bend at the edges' ends."""
+    def _cosines(self, vectors: Array, chords: Array) -> Array:
+        """Return the cosines (flights, 2n) of the angles by which cables turn at the ends."""
         flights, ends = self._flights, self._slips.shape[1]
         beside, sizes = (each.take(self._network.beside, -1) for each in (vectors, chords))
         products = beside[:, :ends] * beside[:, ends:]
         sums = products[:flights] + products[flights:-flights] + products[-flights:]
-        cosines = sums / (sizes[:, :ends] * sizes[:, ends:])
-        return np.asarray(np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0)))
+        return np.asarray(sums / (sizes[:, :ends] * sizes[:, ends:]))
 
-    def _returned(self, wraps: Array, rises: Array, trial: Array, stiffness: Array) -> Array:
+    def _returned(self, cosines: Array, rises: Array, trial: Array, stiffness: Array) -> Array:
         """Return the slips (flights, 2n) [m] from edges to legs in one time step.
 
-        Cables bend by ``wraps`` (flights, 2n) [rad]; ``rises`` are the segments' vertical parts
-        [m]. ``trial`` are the tensions [N] of cables that stick, ``stiffness`` [N/m] their increase
-        per extension.
+        ``cosines`` are those of ``_cosines``, ``rises`` the segments' vertical parts [m]. ``trial``
+        are the tensions [N] of cables that stick, ``stiffness`` [N/m] their increase per extension.
         """
-        network, ends = self._network, wraps.shape[1]
+        network, ends = self._network, cosines.shape[1]
         others, beside = network.others, network.beside
-        limits = np.maximum(self.friction * wraps, TINY)
+        sines = np.sqrt(np.maximum(0.5 - 0.5 * cosines, 0.0))  # sin(θ/2)
+        limits = np.maximum(math.pi * self.friction * sines, TINY)
+        eigenvalues = 1.0 + cosines.dot(network.crossings)  # of G
+        half_axes = np.maximum(np.sqrt(np.maximum(1.0 - 0.5 * eigenvalues, 0.0)), TINY)
         # Tensions at the clasps' heights, from those at the middles of the segments
         tensions = trial.take(beside, -1) + self._to_ends * rises.take(beside, -1)
         leg, edge = np.maximum(tensions[:, :ends], TINY), tensions[:, ends:]
@@ -361,7 +357,7 @@ class ClaspWorld:
         for _ in range(MAX_SWEEPS):
             added = edge_stiffness * slips.dot(others)
             z = np.log(leg / np.maximum(edge + added, TINY)) / limits
-            nearest = self._nearest(z)
+            nearest = self._nearest(z, eigenvalues, half_axes)
             ratio = np.exp(limits * nearest)
             # Shares to which ratios, instead of slips, follow a slip at the edge's other end: 1
             # where cables stick, and 0 along the normal of the ellipse
@@ -380,15 +376,15 @@ class ClaspWorld:
         self._last_slips, self._slips = self._slips, slips
         return slips
 
-    def _nearest(self, z: Array) -> Array:
+    def _nearest(self, z: Array, eigenvalues: Array, half_axes: Array) -> Array:
         """Return the points of the ellipse nearest to z (flights, 2n); z itself inside.
 
         The ellipse's axes are the common and the opposite part of z, which the point shrinks by 1 +
         λ times the eigenvalues. λ takes one step per call of the iteration of Moré and Sorensen for
         trust regions, for which ``1/sqrt(zᵀ G z)`` is almost linear.
         """
-        network, eigenvalues = self._network, self._eigenvalues
-        parts = z.dot(network.parts)
+        network = self._network
+        parts = z.dot(network.parts) / half_axes
         near = parts * self._shrinking
         squares = near * near
         square = squares.dot(network.sums)
@@ -396,5 +392,5 @@ class ClaspWorld:
         steps = square * (np.sqrt(square) - 1.0) / slope
         self._multiplier = np.maximum(self._multiplier + steps, 0.0)
         self._shrinking = 1.0 / (1.0 + eigenvalues * self._multiplier)
-        nearest: Array = (parts * self._shrinking).dot(network.joined)
+        nearest: Array = (parts * self._shrinking * half_axes).dot(network.joined)
         return nearest
