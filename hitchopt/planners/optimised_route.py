@@ -78,11 +78,11 @@ class OptimisedRoute:
             task.hitch,
             self.end,
             task.requirements,
-            self._certified_motion,
-            self.phase.tension,
-            self.straight,
-            cost,
-            task.effort,
+            judge=self._certified_motion,
+            tension=self.phase.tension,
+            straight=self.straight,
+            cost=cost,
+            effort=task.effort,
         ).solve()
         if routes.rejected is not None:
             return self._plan_along_best(routes.rejected)

@@ -169,11 +169,11 @@ class RouteSearch:
             self.task,
             self.end,
             self.phase,
-            self.duration,
-            straight,
-            own,
-            self.allow_slides,
-            self.cost,
+            duration=self.duration,
+            straight=straight,
+            own=own,
+            allow_slides=self.allow_slides,
+            cost=self.cost,
         ).plan()
 
 
