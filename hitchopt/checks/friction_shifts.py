@@ -10,7 +10,8 @@ to where it stops them; with less of it they are ahead of their plan, or go fart
   floor, and cables from objects beyond ``separation.object``. Where legs lean it is also
   ``limits.tracking``, for which distances within the team allow.
 - ``rest_shift`` is how far vertices are from the plan while it rests, as over-travels left them. It
-  depends on their turning points alone, not on speeds. The limit is ``limits.vertex_error``.
+  depends on their turning points alone, not on speeds. ``limits.rest_shift`` and ``vertex_error``
+  limit it.
 
 Both add a quarter of the largest difference to the neighbours among samples and frictions. The
 vertex of a parabola through three values is beyond the middle one by an eighth of it at most.
@@ -234,7 +235,7 @@ def _largest_rest_shift(motion: Motion, _results: SpanResults, _gamma: float) ->
 def _rest_shifts(motion: Motion) -> Iterator[WorstCase]:
     """Yield the largest distance from the plan [m] at every rest of a hitch that holds nothing.
 
-    These are rests of at least REST_TIME, and the end of the motion.
+    These are rests of at least REST_TIME: others precede over-travels.
     Before its first slide, a hitch at the start is as planned. One that was tied, or held an
     object, has any friction.
     """
@@ -252,9 +253,7 @@ def _rest_shifts(motion: Motion) -> Iterator[WorstCase]:
         found = held(motion, t, np.tile(frictions, len(shares)), np.repeat(shares, len(frictions)))
         offsets = length(found.vertices - found.planned[:, None])
         offsets = offsets.reshape(len(t), len(shares), len(frictions), -1)
-        counts = np.isin(t, ends)
-        counts[-1] |= last == len(still)
-        for sample in np.flatnonzero(counts).tolist():
+        for sample in np.flatnonzero(np.isin(t, ends)).tolist():
             shifts = between(offsets[sample], (1,))
             vertex = int(np.unravel_index(int(np.argmax(shifts)), shifts.shape)[-1])
             time = float(breaks[0] + t[sample])
@@ -293,14 +292,14 @@ REST_SHIFT = ReportRule(
     "m",
     "max",
     _largest_rest_shift,
-    limit=lambda requirements: requirements.limits.vertex_error,
+    limit=lambda requirements: requirements.limits.held_at_rest,
     remedy="let vertices over-travel (settle: auto), give them room, or use smoother cables "
     "(cable_friction)",
     free_remedy="",
     assumes_gamma=False,
     applies=_has_friction,
     group="distances",
-    key="limits.vertex_error",
+    key="limits.rest_shift",
     method=SAMPLED,
     proves="the largest distance [m] from the plan at which any friction of its range holds a "
     "vertex while the plan rests, for any course of time",

@@ -95,6 +95,15 @@ class Limits(OneLine):
             omitted=True,
         ),
     ] = None
+    rest_shift: Annotated[
+        float | None,
+        Key(
+            units.VERTEX_ERROR,
+            "Largest distance from the plan at which any friction of team.cable_friction holds a "
+            "vertex at rest; null: any, which is reported",
+            omitted=True,
+        ),
+    ] = None
     survive: Annotated[
         str | None,
         Key(
@@ -115,6 +124,12 @@ class Limits(OneLine):
     def tube(self) -> Tube:
         """The tracking error; zero if it is not limited."""
         return Tube.of(self.tracking)
+
+    @property
+    def held_at_rest(self) -> float | None:
+        """The largest distance [m] at which friction may hold a vertex at rest; None for any."""
+        stated = [limit for limit in (self.rest_shift, self.vertex_error) if limit is not None]
+        return min(stated, default=None)
 
     @property
     def with_reserve(self) -> Limits:

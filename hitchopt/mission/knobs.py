@@ -35,7 +35,7 @@ from hitchopt.steps.knob import (
 from hitchopt.values import Array
 from hitchopt.values.fields import keys_of
 
-SPACE_CHECKS = checks_relaxed_by("length") | {"tracking_radius", "vertex_error"}
+SPACE_CHECKS = checks_relaxed_by("length") | {"tracking_radius", "vertex_error", "rest_shift"}
 """Constraints that longer cables may repair."""
 
 TIME_CHECKS = checks_relaxed_by("time")
@@ -275,7 +275,7 @@ def _wall_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
         return (Edit("arena", {k: np.round(x, DECIMALS).tolist() for k, x in corners.items()}),)
 
     covers, min_size = (
-        frozenset({"arena", "vertex_error"}),
+        frozenset({"arena", "vertex_error", "rest_shift"}),
         2.0 * excess / float(np.min(extents[:2])),
     )
     yield Knob("arena", 1.0, "times", widen, 1, covers, "length and width", min_size=min_size)

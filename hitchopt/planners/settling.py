@@ -102,7 +102,7 @@ def settling_plan(
     They over-travel along their paths from the hitch ``start``, or inward and outward without one.
     Where limits bind they over-travel less, or not at all; the remark names the vertex that may
     rest farthest off, and what it lacks. Raises InfeasibleError if that is farther than
-    ``limits.vertex_error``, or if limits bind within a prescribed ``duration`` [s].
+    ``limits.vertex_error`` or ``rest_shift``, or if limits bind within a prescribed ``duration``.
     """
     settling = Settling(task, duration, phase, start)
     if not settling.width >= STEP:  # nan without a balance
@@ -218,7 +218,8 @@ class Settling:
             return Settled(plan, 0.0, None)
         broken = str(replace(cause.violations[0], remedy="")).rstrip("; ")
         remark = (
-            f"it may rest {100.0 * short:.2g} cm short, since larger over-travels break {broken}"
+            f"it may rest {100.0 * short:.2g} cm short, since larger over-travels break {broken}; "
+            "limits.rest_shift refuses that, and finds changes that help"
         )
         return Settled(plan.with_remark(remark), short, cause)
 
@@ -296,12 +297,14 @@ class Settling:
 
     def require_near(self, settled: Settled) -> None:
         """Raise InfeasibleError for a vertex that may rest farther off [m] than its limit."""
-        limit = self.task.requirements.limits.vertex_error
+        limits = self.task.requirements.limits
+        limit = limits.held_at_rest
         if limit is None or settled.cause is None or settled.short <= limit:
             return
         where, when = (self.vertex,), "after over-travels"
         remedy = "give vertices room to over-travel, or use smoother cables (cable_friction)"
-        values = "vertex_error", settled.short, limit, "max", "m", where, when, remedy
+        name = "vertex_error" if limit == limits.vertex_error else "rest_shift"
+        values = name, settled.short, limit, "max", "m", where, when, remedy
         raise InfeasibleError([Violation(*values), *settled.cause.violations])
 
 

@@ -241,7 +241,8 @@ def clear_of_shift(p: Plan, shift: float, on: Mask) -> tuple[float, str]:
 
 def rest_shifts(p: Plan) -> Iterator[Row]:
     """Yield how far friction of its range holds vertices from their plan at rest, if limited."""
-    limit = p.limits.get("vertex_error")
+    stated = [p.limits.get(key) for key in ("rest_shift", "vertex_error")]
+    limit = min((x for x in stated if x is not None), default=None)
     if limit is None or not p.n or not p.mu:
         return
     places = p.points.c[0][:, : p.N]
@@ -250,7 +251,7 @@ def rest_shifts(p: Plan) -> Iterator[Row]:
     values = list[Worst]()
     for pieces in runs_of(free_pieces(p)):
         samples = samples_of(p, pieces)
-        ends = [len(p.h) - 1]
+        ends = list[int]()
         for run in runs_of(still & np.isin(np.arange(len(still)), pieces)):
             ends += [int(run[-1])] if np.sum(p.h[run]) >= REST_TIME else []
         for share in (0.0,) if pieces[0] == 0 else (-1.0, 1.0):

@@ -25,7 +25,8 @@ def slid(least: float = 0.0, *, settle: bool = True) -> Motion:
     """A triangle whose vertex moves out by 0.2 m, and over-travels."""
     team = ho.Team(3, 2.4, tension=0.5, cable_friction=(least, 0.1))
     step = OUTWARD if settle else replace(OUTWARD, settle=False)
-    return ho.solve(ho.Problem(team, ho.HitchStart(TRIANGLE, 1.0), [step])).motion
+    steps = [step, ho.Hold(1.0)]
+    return ho.solve(ho.Problem(team, ho.HitchStart(TRIANGLE, 1.0), steps)).motion
 
 
 def checked(motion: Motion, name: str, **kept: object) -> ho.Check:
@@ -66,6 +67,19 @@ def test_over_travels_leave_vertices_near_their_goals_for_every_friction() -> No
     assert (settled.method, settled.limit, settled.where) == ("sampled", None, ("p0",))
     shifts = [checked(slid(least, settle=False), "friction_shift").worst for least in (0.0, 0.08)]
     assert shifts[1] < shifts[0]
+
+
+def test_either_limit_of_rests_refuses_vertices_that_are_held_farther_off() -> None:
+    motion = slid()
+    worst = checked(motion, "rest_shift").worst
+    for limits, limit in (
+        (ho.Limits(rest_shift=0.9 * worst), 0.9 * worst),
+        (ho.Limits(vertex_error=0.8 * worst, rest_shift=1.0), 0.8 * worst),
+        (ho.Limits(rest_shift=1.1 * worst), 1.1 * worst),
+    ):
+        check = checked(motion, "rest_shift", limits=limits)
+        assert check.limit == pytest.approx(limit)
+        assert check.holds == (worst <= limit)
 
 
 def test_shifts_take_room_from_walls_and_objects() -> None:
