@@ -12,7 +12,7 @@ from hitchopt.planners.carrying.planner import MovePlanner
 
 PREFERRED_HINGE = 0.15
 """[m] Preferred height of clasps above a centre of mass, as far below the top as drones may be off.
-In simulation a drum tilted by up to 3.4° at 15 cm."""
+In simulation a drum tilted by up to 9° at 15 cm."""
 
 EDGE = 0.02
 """[m] Minimum distance of clasps to the top and the bottom of an object."""
