@@ -297,8 +297,8 @@ START_SCALE = (0.9, 1.1)
 UNEVEN = 0.1
 """Largest turn of a vertex of the hitch at the start, over the angle between two."""
 
-BESIDE = (0.5, 0.9)
-"""Distance of a table to the object's corners, minimum and maximum [m]: drones reach farther."""
+BESIDE = (0.15, 0.55)
+"""Distance of a table to drones at the ends of level legs around the object, as a range [m]."""
 
 TABLE_HEIGHT = (0.2, 0.6)
 """Height of a table, minimum and maximum [m]."""
@@ -338,10 +338,9 @@ def wild_carry(seed: int) -> dict[str, Any]:
     else:
         body |= {**_section(widths, is_round), "to": round(float(rng.uniform(0.25, 0.4)), 3)}
         body |= {"mass": round(float(rng.uniform(*GRIPPED_MASS)), 3), "friction": 0.6}
-    objects = {"thing": body}
+    beside = height = None
     if rng.random() < 0.5:
-        corner = float(np.max(axes) if is_round else np.linalg.norm(widths))
-        objects["table"] = _table(at, corner, directions[2], rng)
+        beside, height = rng.uniform(*BESIDE), rng.uniform(*TABLE_HEIGHT)
     radius = float(np.sqrt(np.mean((axes + AROUND) ** 2))) / math.cos(math.pi / n)
     uneven = UNEVEN * rng.uniform(-1.0, 1.0, n)
     angles = rng.uniform(0.0, 2.0 * math.pi) - 2.0 * math.pi / n * (np.arange(n) + uneven)
@@ -352,6 +351,10 @@ def wild_carry(seed: int) -> dict[str, Any]:
     team: dict[str, Any] = {"robots": n, "cable_length": round(cable, 2)}
     team |= {"cable_density": CABLE_DENSITY, "tension": 1.0}
     team |= {} if rests else {"cable_friction": 0.15}
+    objects = {"thing": body}
+    if beside is not None and height is not None:
+        reach = radius + 0.5 * cable - radius * math.sin(math.pi / n)
+        objects["table"] = _table(at, reach + beside, directions[2], height)
     carry: dict[str, Any] = {"object": "thing", "to": [*_rounded(to), 0.0]}
     carry |= {"yaw_deg": round(float(rng.uniform(-120.0, 120.0)), 1)}
     carry |= {} if rests else {"tension": 1.3}
@@ -365,15 +368,14 @@ def wild_carry(seed: int) -> dict[str, Any]:
     }
 
 
-def _table(at: Array, corner: float, direction: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Return a table next to an object at (2,) [m], whose corners are that far away [m]."""
+def _table(at: Array, distance: float, direction: float, height: float) -> dict[str, Any]:
+    """Return a table whose longer side faces an object at (2,) [m], at a distance [m]."""
     side = np.array([math.cos(direction), math.sin(direction)])
-    centre = at + (corner + float(rng.uniform(*BESIDE)) + 0.5 * TABLE_DEPTH) * side
     return {
         "outline": TABLE,
-        "to": round(float(rng.uniform(*TABLE_HEIGHT)), 3),
+        "to": round(height, 3),
         "fixed": True,
-        "at": [*_rounded(centre), 0.0],
+        "at": [*_rounded(at + (distance + 0.5 * TABLE_DEPTH) * side), 0.0],
         "yaw_deg": round((math.degrees(direction) + 90.0) % 360.0, 1),
     }
 
