@@ -338,9 +338,9 @@ def wild_carry(seed: int) -> dict[str, Any]:
     else:
         body |= {**_section(widths, is_round), "to": round(float(rng.uniform(0.25, 0.4)), 3)}
         body |= {"mass": round(float(rng.uniform(*GRIPPED_MASS)), 3), "friction": 0.6}
-    beside = height = None
+    table: tuple[float, float] | None = None
     if rng.random() < 0.5:
-        beside, height = rng.uniform(*BESIDE), rng.uniform(*TABLE_HEIGHT)
+        table = float(rng.uniform(*BESIDE)), float(rng.uniform(*TABLE_HEIGHT))
     radius = float(np.sqrt(np.mean((axes + AROUND) ** 2))) / math.cos(math.pi / n)
     uneven = UNEVEN * rng.uniform(-1.0, 1.0, n)
     angles = rng.uniform(0.0, 2.0 * math.pi) - 2.0 * math.pi / n * (np.arange(n) + uneven)
@@ -352,7 +352,8 @@ def wild_carry(seed: int) -> dict[str, Any]:
     team |= {"cable_density": CABLE_DENSITY, "tension": 1.0}
     team |= {} if rests else {"cable_friction": 0.15}
     objects = {"thing": body}
-    if beside is not None and height is not None:
+    if table is not None:
+        beside, height = table
         reach = radius + 0.5 * cable - radius * math.sin(math.pi / n)
         objects["table"] = _table(at, reach + beside, directions[2], height)
     carry: dict[str, Any] = {"object": "thing", "to": [*_rounded(to), 0.0]}

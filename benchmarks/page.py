@@ -143,9 +143,10 @@ LIMITS = (
 )
 
 FAMILIES_TEXT = (
-    "Problems of `python -m benchmarks families`; starts and goals are certified first, none is "
-    "omitted, {proven} plans are proven. Over bound, median–largest: duration over what each "
-    "phase's slowest drone or vertex takes alone within speed and acceleration."
+    "Problems of `python -m benchmarks families`; starts and goals are certified first, those of "
+    "`carry` drawn by geometry alone, none is omitted, {proven} plans are proven. Over bound, "
+    "median–largest: duration over what each phase's slowest drone or vertex takes alone within "
+    "speed and acceleration."
 )
 
 LIBRARIES_TEXT = (
