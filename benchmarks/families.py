@@ -355,7 +355,9 @@ def wild_carry(seed: int) -> dict[str, Any]:
     if table is not None:
         beside, height = table
         reach = radius + 0.5 * cable - radius * math.sin(math.pi / n)
-        objects["table"] = _table(at, reach + beside, directions[2], height)
+        towards = float(np.cos(directions[2] - directions[1])) * onward > 0.5 * reach
+        side = directions[2] + math.pi * towards  # away from the goal
+        objects["table"] = _table(at, reach + beside, side, height)
     carry: dict[str, Any] = {"object": "thing", "to": [*_rounded(to), 0.0]}
     carry |= {"yaw_deg": round(float(rng.uniform(-120.0, 120.0)), 1)}
     carry |= {} if rests else {"tension": 1.3}
