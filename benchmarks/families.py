@@ -355,8 +355,10 @@ def wild_carry(seed: int) -> dict[str, Any]:
     if table is not None:
         beside, height = table
         reach = radius + 0.5 * cable - radius * math.sin(math.pi / n)
-        towards = float(np.cos(directions[2] - directions[1])) * onward > 0.5 * reach
-        side = directions[2] + math.pi * towards  # away from the goal
+        away_from = reach + beside + 0.5 * TABLE_DEPTH
+        centre = away_from * np.array([math.cos(directions[2]), math.sin(directions[2])])
+        is_goal = bool(np.linalg.norm(to - at - centre) < TABLE_RADIUS)
+        side = directions[2] + math.pi * is_goal  # the goal is on the ground
         objects["table"] = _table(at, reach + beside, side, height)
     carry: dict[str, Any] = {"object": "thing", "to": [*_rounded(to), 0.0]}
     carry |= {"yaw_deg": round(float(rng.uniform(-120.0, 120.0)), 1)}
@@ -385,6 +387,9 @@ def _table(at: Array, distance: float, direction: float, height: float) -> dict[
 
 TABLE_DEPTH = 0.6
 """Depth of a table, in the direction of the object [m]."""
+
+TABLE_RADIUS = 0.67
+"""Distance of a table's corners from its middle [m]."""
 
 RECTANGLE = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
 """Corners of a rectangle of half widths 1, clockwise."""
