@@ -41,7 +41,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import TAUT_RATIO, states_at
 from hitchopt.values import Array, true_runs
 
-FRICTIONS = 5
+FRICTIONS = 9
 """Number of frictions of the range, from the least to the largest."""
 
 MIN_SLIDE = 1e-3

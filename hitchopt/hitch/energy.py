@@ -401,11 +401,22 @@ class HitchEnergy:
     ) -> tuple[Array, Array]:
         """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, and the slopes."""
         slopes = self.slopes(positions, friction)
+        return self.steps_down(positions, slopes, damping, max_length, friction), slopes
+
+    def steps_down(
+        self,
+        positions: Array,
+        slopes: Array,
+        damping: Array | float,
+        max_length: float,
+        friction: float | Array,
+    ) -> Array:
+        """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, from slopes."""
         matrix = self.matrix(positions, self.linear(positions, friction).forces, damping)
         steps = self.solved(matrix, -slopes)
         longest = np.max(np.linalg.norm(steps, axis=-1), axis=1)
         shares = np.minimum(1.0, max_length / np.maximum(longest, 1e-300))
-        return steps * shares[:, None, None], slopes
+        return np.asarray(steps * shares[:, None, None])
 
     def at_rest(self) -> Array:
         """Return the nodes (S, nodes, 3) [m] of least energy, by a damped Newton method.

@@ -115,10 +115,10 @@ def _leg_lengths(energy: HitchEnergy, nodes: Array) -> Array:
 def _balanced(energy: HitchEnergy, nodes: Array, friction: Array, steps: int) -> Array:
     """Return nodes (F, nodes, 3) [m] after Newton steps to the balance with friction (F, n, 2)."""
     for _ in range(steps):
-        displacements, slopes = energy.steps(nodes, DAMPING, MAX_STEP, friction)
+        slopes = energy.slopes(nodes, friction)
         if np.max(np.abs(slopes)) <= 0.01 * MAX_RESIDUAL:
             break
-        nodes = nodes + displacements
+        nodes = nodes + energy.steps_down(nodes, slopes, DAMPING, MAX_STEP, friction)
     return nodes
 
 

@@ -16,7 +16,7 @@ from .statics import AT_REST, STEP, TAUT, Rest
 
 CROSSING = math.radians(60.0)  # angle at which the cables of a clasp cross
 HALF_AXES = math.sin(0.5 * CROSSING), math.cos(0.5 * CROSSING)  # of both, and of opposite friction
-SHARES = np.linspace(0.0, 1.0, 5)  # of the range of friction
+SHARES = np.linspace(0.0, 1.0, 9)  # of the range of friction
 SLIDE = 1e-3  # [m] least change of leg lengths in a phase with slides
 PLAIN = 1e-6  # [N] of pulls that equal those of edges
 BETWEEN, LEANING = 3, 12  # samples from one rest of vertices to the next
