@@ -6,9 +6,10 @@ to where it stops them; with less of it they are ahead of their plan, or go fart
 
 - ``friction_shift`` is how far they leave their ways in a phase in which cables slide. On these
   ways, distances are those of the plan; all points of cables leave those of their plan by no more.
-  What stands still allows for it: the limit is the distance that vertices keep from walls and
-  floor, and cables from objects beyond ``separation.object``. Where legs lean it is also
-  ``limits.tracking``, for which distances within the team allow.
+  What stands still allows for over-travels, after which vertices are where they were: their limit
+  is the distance that vertices keep from walls and floor, and cables from objects beyond
+  ``separation.object``. Where legs lean the limit is ``limits.tracking``, for which distances
+  within the team allow. Other phases have none: in them, friction holds vertices back.
 - ``rest_shift`` is how far vertices are from the plan while it rests, as over-travels left them. It
   depends on their turning points alone, not on speeds. ``limits.rest_shift`` and ``vertex_error``
   limit it.
@@ -50,6 +51,9 @@ MIN_SLIDE = 1e-3
 AT_REST = 1e-6
 """Largest speed of vertices where they turn [m/s], and change of drones [m] and tensions [N] at
 rest."""
+
+MAX_RETURN = 1e-4
+"""[m] Largest distance of a vertex after over-travels from its place before."""
 
 REST_TIME = 0.5
 """[s] Shortest rest at which the distance from the plan counts."""
@@ -143,7 +147,8 @@ def between(values: Array, axes: tuple[int, ...]) -> Array:
     """Return values plus a quarter of their largest difference to neighbours along axes."""
     steps = np.zeros_like(values)
     for axis in axes:
-        change = np.abs(np.diff(values, axis=axis))
+        with np.errstate(invalid="ignore"):  # of two without a balance
+            change = np.nan_to_num(np.abs(np.diff(values, axis=axis)), nan=0.0, posinf=np.inf)
         before, after = [(0, 0)] * values.ndim, [(0, 0)] * values.ndim
         before[axis], after[axis] = (1, 0), (0, 1)
         steps = np.maximum(steps, np.maximum(np.pad(change, before), np.pad(change, after)))
@@ -208,6 +213,9 @@ def _room(motion: Motion) -> tuple[float, str]:
     error = requirements.limits.tube.level or requirements.position_error
     leans = bool(error) and motion.leg_tensions_differ
     rooms = [(error, TRACKING_RADIUS.name) if leans else (math.inf, "")]
+    ends = motion.vertices.coefficients[[0, -1], ..., [0, -1]]
+    if np.max(length(ends[1] - ends[0])) > MAX_RETURN:
+        return min(rooms)
     if requirements.arena is not None:
         rooms.append((_wall_distance(motion, requirements.arena), ARENA.name))
     for result in OBJECT_CLEARANCE.span_results(motion):
@@ -282,7 +290,7 @@ FRICTION_SHIFT = ReportRule(
     key="limits.tracking",
     method=SAMPLED,
     proves="the largest distance [m] from their ways at which vertices are with any friction of "
-    "its range where cables slide, for which objects and walls leave room",
+    "its range where cables slide, for which objects and walls leave room at over-travels",
     unproven="times and frictions between samples, swings, held objects; distances to other teams, "
     "and within a team where no leg leans",
 )

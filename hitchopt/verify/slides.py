@@ -29,6 +29,7 @@ ROUNDS = 2  # of slips and balances
 SWEEPS = 400  # steps of gradients
 CONVERGED = 1e-7  # change of parts in the last one
 STILL = 1e-6  # [m] motion of drones at rest
+RETURN = 1e-4  # [m] from its place before over-travels to that of a vertex after them
 REST_TIME = 0.5  # [s] shortest rest that counts
 
 
@@ -170,7 +171,9 @@ def frictions(p: Plan) -> Array:
 def histories(p: Plan, samples: Items, share: float = 0.0) -> Array:
     """Return the vertices (samples, frictions, P, 3) [m], infinitely far without a balance."""
     sliders = [Slider(p, friction, share) for friction in frictions(p)]
-    places = np.array([[slider.move(q, end) for slider in sliders] for q, end in samples.tolist()])
+    with np.errstate(all="ignore"):  # forged plans have no balance
+        steps = [[slider.move(q, end) for slider in sliders] for q, end in samples.tolist()]
+    places = np.array(steps)
     return np.where(np.isfinite(places), places, np.inf)
 
 
@@ -178,7 +181,8 @@ def widened(x: Array, axes: int) -> Array:
     """Return values plus a share of the largest difference to a neighbour on the first axes."""
     most = np.zeros(x.shape)
     for axis in range(axes):
-        step = np.abs(np.diff(x, axis=axis))
+        with np.errstate(invalid="ignore"):  # of two that are infinitely far
+            step = np.nan_to_num(np.abs(np.diff(x, axis=axis)), nan=0.0, posinf=np.inf)
         last = np.zeros_like(x.take([0], axis))
         for ends in ([step, last], [last, step]):
             most = np.maximum(most, np.concatenate(ends, axis))
@@ -218,14 +222,17 @@ def friction_shifts(p: Plan) -> Iterator[Row]:
 def clear_of_shift(p: Plan, shift: float, on: Mask) -> tuple[float, str]:
     """Return the shift [m] for which there is room on pieces, and a verdict.
 
-    Walls and objects leave it, and the errors of drones where legs lean.
+    Walls and objects leave it where vertices return to their places, and the errors of drones where
+    legs lean.
     """
     rooms, verdicts = [BIG], [SAMPLED]
     pulls = p.pulls.c[0][on] - np.repeat(p.tensions.c[0][on], 2, axis=1)
     if p.tube[0] and np.max(np.abs(pulls)) > PLAIN:
         rooms.append(p.tube[0])
+    corners = np.moveaxis(p.points.c[0][on][:, p.V], 2, -1)
+    if np.max(norm(corners[-1, :, -1] - corners[0, :, 0])) > RETURN:
+        return min(rooms), SAMPLED
     if p.arena is not None:
-        corners = np.moveaxis(p.points.c[0][on][:, p.V], 2, -1)
         lower, upper = (np.array(p.arena[side]) for side in ("lower", "upper"))
         rooms += [float(np.min(corners - lower)), float(np.min(upper - corners))]
     q = copy(p)
@@ -268,7 +275,8 @@ def rest_shifts(p: Plan) -> Iterator[Row]:
 def distances_from(ways: Array, places: Array) -> Array:
     """Return the distances (P,) [m] of places (P, 3) from polylines (points, P, 3)."""
     start, along = ways[:-1], np.diff(ways, axis=0)
-    share = np.sum((places - start) * along, axis=-1) / np.maximum(norm(along) ** 2, STEP)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
-    off = np.min(norm(places - nearest), axis=0)
+    with np.errstate(invalid="ignore"):  # places may be infinitely far
+        share = np.sum((places - start) * along, axis=-1) / np.maximum(norm(along) ** 2, STEP)
+        nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+        off = np.min(norm(places - nearest), axis=0)
     return np.where(np.isfinite(off), off, np.inf)
