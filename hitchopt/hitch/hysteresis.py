@@ -29,7 +29,8 @@ from hitchopt.hitch.team import Layout, Team
 from hitchopt.values import Array
 
 CROSSING = math.radians(60.0)
-"""[rad] Angle α: that of the clasps of ``simulate --cables clasps``, fitted to ropes."""
+"""[rad] Angle α, that of equilateral triangles. In ``simulate --cables clasps`` it is the angle θ
+by which edges turn, and cables bend by ``π sin(θ/2)``; here they bend by θ."""
 
 STICKING_STEPS = 12
 """Newton steps to the balance without slips."""

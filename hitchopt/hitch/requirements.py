@@ -20,15 +20,7 @@ from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, ByValue, check_instance, known, lazy, sequence, units
-from hitchopt.values.fields import (
-    Key,
-    documented,
-    points,
-    store,
-    store_degrees,
-    with_fields,
-    words,
-)
+from hitchopt.values.fields import Key, documented, points, store, store_degrees, with_fields, words
 
 ROUNDING_FACTOR = 1.0 + 2e-9
 """Factor of ``tracking`` in the planners' distances, so that rounding violates no limit."""

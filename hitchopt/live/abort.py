@@ -15,11 +15,7 @@ import zipfile
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import (
-    lru_cache,
-    partial,
-    reduce,
-)
+from functools import lru_cache, partial, reduce
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -40,13 +36,7 @@ from hitchopt.motion.flight import REST_RATE, Flight, TeamMotion
 from hitchopt.motion.motion import JOINT, SHARE_TOLERANCE, CableState, Motion, Phase
 from hitchopt.motion.plan_file import flight_digest, read_plan, write_plan
 from hitchopt.motion.request import objects_at
-from hitchopt.motion.retiming import (
-    append_motion,
-    on_clock,
-    resting,
-    truncated,
-    with_last_poses,
-)
+from hitchopt.motion.retiming import append_motion, on_clock, resting, truncated, with_last_poses
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_world
 from hitchopt.planners.candidates import outcome
@@ -55,13 +45,7 @@ from hitchopt.planners.task import RestState, StepTask
 from hitchopt.planners.tying import vertical_motion
 from hitchopt.steps.tying import Release
 from hitchopt.storage.archive import READ_ERRORS
-from hitchopt.storage.files import (
-    digest,
-    file_bytes,
-    parsed_json,
-    replace_files,
-    write_strict_json,
-)
+from hitchopt.storage.files import digest, file_bytes, parsed_json, replace_files, write_strict_json
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, check_choice, lazy, nonnegative, positive

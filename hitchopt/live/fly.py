@@ -10,10 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import (
-    cache,
-    partial,
-)
+from functools import cache, partial
 from typing import Protocol
 
 import numpy as np

@@ -10,10 +10,7 @@ the ground before its cable is taut, because no drone can carry two.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import (
-    lru_cache,
-    partial,
-)
+from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np

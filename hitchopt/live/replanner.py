@@ -14,10 +14,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import (
-    cached_property,
-    partial,
-)
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 

@@ -14,12 +14,7 @@ from hitchopt.checks.linking import DURATION
 from hitchopt.checks.registry import RULES, names_of
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.drones.controllers import Tube, of_same_firmware
-from hitchopt.errors import (
-    EXCHANGED,
-    InfeasibleError,
-    StepPlace,
-    Violation,
-)
+from hitchopt.errors import EXCHANGED, InfeasibleError, StepPlace, Violation
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.alternatives import can_be_stiffer

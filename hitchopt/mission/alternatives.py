@@ -13,12 +13,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.drones.controllers import MIN_TRACKING, Gains, Tube, of_same_firmware, stiffest_gains
-from hitchopt.errors import (
-    InputError,
-    Reason,
-    UnitWarning,
-    Violation,
-)
+from hitchopt.errors import InputError, Reason, UnitWarning, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
 from hitchopt.mission.changes import Change, in_step, quadrotor_keys, with_edits

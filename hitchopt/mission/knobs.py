@@ -10,11 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.registry import (
-    RULE_OF_KEY,
-    distances_of,
-    names_of,
-)
+from hitchopt.checks.registry import RULE_OF_KEY, distances_of, names_of
 from hitchopt.errors import Violation
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Limits

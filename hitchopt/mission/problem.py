@@ -35,12 +35,7 @@ from hitchopt.steps.flying import SWARM_PLACES, Fly
 from hitchopt.steps.keys import TRIANGLE, shown_legs
 from hitchopt.steps.step import Step
 from hitchopt.steps.tying import Form
-from hitchopt.values import (
-    ByValue,
-    check_instance,
-    closest_word,
-    sequence,
-)
+from hitchopt.values import ByValue, check_instance, closest_word, sequence
 from hitchopt.values.fields import (
     Key,
     by_key,

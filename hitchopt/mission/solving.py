@@ -24,12 +24,7 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.mission.advice import (
-    placed_in_step,
-    refusal,
-    with_tilt_advice,
-    with_tracking_advice,
-)
+from hitchopt.mission.advice import placed_in_step, refusal, with_tilt_advice, with_tracking_advice
 from hitchopt.mission.cache import Cache, digest
 from hitchopt.mission.problem import Problem, TeamMission
 from hitchopt.mission.starts import DronesStart, HitchStart

@@ -15,16 +15,8 @@ from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.planners.ends import SlackSplit
 from hitchopt.steps.flying import SWARM_PLACES, check_count
 from hitchopt.steps.keys import LEGS, LEGS_TEXT, Legs, Polygon, slack_split
-from hitchopt.values import (
-    Array,
-    Points,
-)
-from hitchopt.values.fields import (
-    Key,
-    Record,
-    documented,
-    points,
-)
+from hitchopt.values import Array, Points
+from hitchopt.values.fields import Key, Record, documented, points
 from hitchopt.values.units import ALTITUDE, warn_of_unit
 
 

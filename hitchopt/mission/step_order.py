@@ -13,10 +13,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.steps import STEPS
 from hitchopt.steps.step import Stage, Step
 from hitchopt.steps.tying import check_rollable
-from hitchopt.values import (
-    closest_word,
-    text,
-)
+from hitchopt.values import closest_word, text
 
 
 def resolved_steps(

@@ -11,11 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import (
-    InputError,
-    OneLine,
-    StepPlace,
-)
+from hitchopt.errors import InputError, OneLine, StepPlace
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment

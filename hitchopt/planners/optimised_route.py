@@ -7,11 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from hitchopt.checks.violations import infeasible_error, named_checks
-from hitchopt.errors import (
-    HitchoptError,
-    InfeasibleError,
-    Reason,
-)
+from hitchopt.errors import HitchoptError, InfeasibleError, Reason
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight

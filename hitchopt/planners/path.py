@@ -17,14 +17,7 @@ from hitchopt.hitch.series import JET, Series, product
 from hitchopt.planners.sampling import FunctionOrKnots, sampled
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import summed
-from hitchopt.values import (
-    Array,
-    as_array,
-    bounded_points,
-    check_instance,
-    coordinate,
-    positive,
-)
+from hitchopt.values import Array, as_array, bounded_points, check_instance, coordinate, positive
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

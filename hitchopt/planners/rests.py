@@ -7,11 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.checks.violations import infeasible_error
-from hitchopt.errors import (
-    InfeasibleError,
-    StepPlace,
-    Violation,
-)
+from hitchopt.errors import InfeasibleError, StepPlace, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase

@@ -16,11 +16,7 @@ from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import untying_tensions
 from hitchopt.planners.carrying.polygons import grip_clasps
-from hitchopt.planners.carrying.straddle_planner import (
-    MAX_TURN,
-    StraddlePlanner,
-    find_straddle,
-)
+from hitchopt.planners.carrying.straddle_planner import MAX_TURN, StraddlePlanner, find_straddle
 from hitchopt.planners.enclosing import first_plan
 from hitchopt.planners.forming.stages import Keyframe, reversed_stages, straight_stages
 from hitchopt.planners.task import StepPlan, StepTask

@@ -12,11 +12,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import PART_REPORTS
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.checks.violations import infeasible_error
-from hitchopt.errors import (
-    Progress,
-    RequestError,
-    StepPlace,
-)
+from hitchopt.errors import Progress, RequestError, StepPlace
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase, concatenated

@@ -10,11 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from hitchopt.checks.registry import (
-    RULES,
-    distances_from,
-    names_of,
-)
+from hitchopt.checks.registry import RULES, distances_from, names_of
 from hitchopt.errors import OneLine
 from hitchopt.geometry import Outline
 from hitchopt.hitch.pairs import FIXED

@@ -12,11 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
-from hitchopt.checks.registry import (
-    RULE_OF,
-    distances_of,
-    names_of,
-)
+from hitchopt.checks.registry import RULE_OF, distances_of, names_of
 from hitchopt.errors import InfeasibleError, InputError, RequestError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team

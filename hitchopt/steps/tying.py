@@ -10,11 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import (
-    AT_END,
-    InputError,
-    RequestError,
-)
+from hitchopt.errors import AT_END, InputError, RequestError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements

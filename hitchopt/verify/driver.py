@@ -17,21 +17,11 @@ from .drones import drones
 from .links import interlacing
 from .losses import losses, read_stated
 from .objects import clear_held, clear_objects, gripped, hinged, resting, steady
-from .plan import (
-    TAUT_TOL,
-    Plan,
-)
+from .plan import TAUT_TOL, Plan
 from .reading import UnreadableError, read
 from .request import requested
 from .slides import friction_shifts, rest_shifts
-from .spans import (
-    MIN_TENSION,
-    SAMPLED,
-    Row,
-    Spans,
-    prove,
-    worst_row,
-)
+from .spans import MIN_TENSION, SAMPLED, Row, Spans, prove, worst_row
 from .statics import vertex_errors
 from .teams import Pair, arc_distances, between_plans, object_distances
 from .tying import bent_cables, free_cables

@@ -32,12 +32,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
-from hitchopt.planners.carrying.hinge import (
-    EDGE,
-    PREFERRED_HINGE,
-    clasp_height,
-    needed_height,
-)
+from hitchopt.planners.carrying.hinge import EDGE, PREFERRED_HINGE, clasp_height, needed_height
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import MAX_PUSH, GraspState, MovePlanner, first_violated
 from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps

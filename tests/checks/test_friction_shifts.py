@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify
-from hitchopt.checks.friction_shifts import distances_from_ways, held, sample_times
+from hitchopt.checks.friction_shifts import between, distances_from_ways, held, sample_times
 from hitchopt.checks.registry import TEAM_REPORTS
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array
@@ -98,6 +98,21 @@ def test_shifts_take_room_from_walls_and_objects() -> None:
         assert walled.binding == "arena"
         assert walled.holds == (walled.worst <= walled.number)
         assert holds == walled.holds
+
+
+def test_a_shift_without_a_balance_is_infinite_and_others_keep_their_reserve() -> None:
+    shifts = between(np.array([[np.inf, np.inf], [1.0, 3.0], [2.0, 2.0]]), (1,))
+    np.testing.assert_array_equal(shifts, [[np.inf, np.inf], [1.5, 3.5], [2.0, 2.0]])
+
+
+def test_only_over_travels_need_room() -> None:
+    """A vertex that moves to another place lags behind its plan: nothing limits that."""
+    motion = slid(settle=False)
+    lowest = float(np.min(motion.vertices.at(np.linspace(0.0, motion.duration, 999))[..., 1]))
+    arena = ho.Arena([-9.0, lowest - 1e-3, 0.0], [9.0, 9.0, 9.0])
+    check = checked(motion, "friction_shift", arena=arena)
+    assert check.worst > 0.01
+    assert (check.limit, check.holds) == (None, True)
 
 
 def test_the_verifier_finds_the_same(tmp_path: Path) -> None:

@@ -31,12 +31,7 @@ from hitchopt.lab.simulation.record import (
 )
 from hitchopt.lab.simulation.settings import CLASPS, Settings
 from hitchopt.lab.simulation.task import RATE, Task
-from hitchopt.lab.simulation.world import (
-    InvalidRunError,
-    RigidBodies,
-    World,
-    check_valid,
-)
+from hitchopt.lab.simulation.world import InvalidRunError, RigidBodies, World, check_valid
 from hitchopt.support import Feature
 from hitchopt.values import Array
 

@@ -29,13 +29,7 @@ from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_vi
 from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.planners.carrying.straddle import MIN_BEND, OPEN, Place, PlaceChange, Straddle
 from hitchopt.planners.forming.prehitch import MIN_SEPARATION, longest_spans
-from hitchopt.planners.forming.stages import (
-    SMOOTH,
-    Keyframe,
-    best,
-    hover_altitude,
-    straight_stages,
-)
+from hitchopt.planners.forming.stages import SMOOTH, Keyframe, best, hover_altitude, straight_stages
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array

@@ -18,12 +18,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.legs import (
-    PATH_SAMPLES,
-    rolling_paths,
-    with_legs_clear,
-    worst_point,
-)
+from hitchopt.planners.morph.legs import PATH_SAMPLES, rolling_paths, with_legs_clear, worst_point
 from hitchopt.planners.morph.morph import (
     MIN_LEG,
     POSITION_TOLERANCE,
@@ -33,14 +28,7 @@ from hitchopt.planners.morph.morph import (
     shape_violation,
 )
 from hitchopt.planners.morph.tracks import eased, spline_through, vertex_track
-from hitchopt.planners.path import (
-    LegLaw,
-    Path,
-    drones_along,
-    path_jets,
-    roll_between,
-    shapes_along,
-)
+from hitchopt.planners.path import LegLaw, Path, drones_along, path_jets, roll_between, shapes_along
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,

@@ -11,12 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import (
-    InfeasibleError,
-    StepPlace,
-    Violation,
-    rounded_up,
-)
+from hitchopt.errors import InfeasibleError, StepPlace, Violation, rounded_up
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.forces import cable_of, sag_factors
 from hitchopt.hitch.requirements import Limits, Requirements
