@@ -25,7 +25,7 @@ from hitchopt.errors import Violation
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
-from hitchopt.hitch.holding import Grip, grip_capacity
+from hitchopt.hitch.holding import Grip, grip_capacity, wraps_around
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import CableState, Motion
@@ -493,6 +493,48 @@ def test_crates_keep_their_yaw_or_are_refused(gap: float, stiffness: float, tmp_
     (row,) = opinion_of(motion, tmp_path, objects.steady)
     assert row.worst == pytest.approx(check.worst, rel=1e-3)
     assert (row.verdict == "proven") == check.holds
+
+
+def test_cables_that_pull_unequally_press_an_object_toward_the_edge_of_its_foot(
+    tmp_path: Path,
+) -> None:
+    """By the moment of their difference about its foot, over its weight."""
+    grip, requirements = tied_grip(problem([TIE]))
+    tensions = np.array([1.0, 0.95])
+    state = GraspState("drum", HoldPolygons(grip.polygon, grip.polygon), tensions, grip)
+    planner = MovePlanner(state, requirements, 0)
+    motion = planner.motion([planner.rest(0.5)])
+    bent = replace(motion.phases[0], state=CableState.BENT)
+    motion = motion.replaced(phases=(bent,))
+    wraps = wraps_around(grip.body.section, grip.polygon)
+    pulls = tensions[:, None] * (wraps.arriving - wraps.leaving)
+    moment = grip.height * float(np.linalg.norm(np.sum(pulls, axis=0)))
+    expected = DRUM["circle"] - moment / (DRUM["mass"] * GRAVITY)
+    check = RULE_OF["support"].check(motion)
+    assert check is not None
+    (row,) = (each for each in opinion_of(motion, tmp_path, objects.hinged) if each.samples)
+    assert check.worst == pytest.approx(expected, abs=1e-3)
+    assert row.worst == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("shift", [0.01, 0.03])
+def test_clasps_do_not_balance_an_object_beside_the_line_through_them(
+    shift: float, tmp_path: Path
+) -> None:
+    """They lack its weight's moment, over its radius and their tension."""
+    motion = part(cycle().motion, "carry", "carry")
+    poses = motion.poses.coefficients.copy()
+    poses[:, 0, 0] += shift
+    motion = motion.replaced(poses=motion.poses.replaced(poses))
+    drum = motion.requirements.objects["drum"]
+    lacking = drum.mass * GRAVITY * shift / drum.section.circumradius
+    expected = lacking / float(np.min(motion.team.tension))
+    check = RULE_OF["equilibrium"].check(motion)
+    assert check is not None
+    rows = opinion_of(motion, tmp_path, objects.gripped)
+    (row,) = (each for each in rows if each.name == "equilibrium")
+    assert check.worst == pytest.approx(expected, abs=BALANCE_LIMIT)
+    assert row.worst == pytest.approx(expected, abs=BALANCE_LIMIT)
 
 
 def test_edges_that_turn_a_standing_crate_are_counted() -> None:

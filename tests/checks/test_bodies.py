@@ -107,6 +107,20 @@ def test_regions_contain_the_cables_on_both_sides_of_joints_of_phases(name: str)
                 assert np.all(points[..., 2] >= np.min(region[..., 2], axis=1)[:, None] - 0.02)
 
 
+@pytest.mark.parametrize("name", ["tie_carry_untie", "form_square"])
+def test_regions_of_a_flight_in_reverse_are_the_same(name: str) -> None:
+    """Clasps that tighten are at those of the hitch after them, and those that relax, before."""
+    whole = hitch(name)
+    begin, end = whole.drones.breaks[[0, -1]].tolist()
+    phases = [p.retimed(begin + end - p.end, begin + end - p.start) for p in reversed(whole.phases)]
+    back = whole.map_curves(lambda part: part.reversed(), phases)
+    clasped = cable_sheets(whole).clasped
+    regions = cable_sheets(whole).corners[clasped]
+    reversed_regions = cable_sheets(back).corners[::-1][clasped]
+    assert np.any(clasped)
+    np.testing.assert_allclose(reversed_regions[..., ::-1], regions, atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_no_cable_of_a_hitch_that_is_tied_is_closer_than_bounds(seed: int) -> None:
     whole, rng = hitch("tie_carry_untie"), np.random.default_rng(seed)
