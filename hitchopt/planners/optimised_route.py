@@ -85,11 +85,19 @@ class OptimisedRoute:
         if not routes.accepted:
             raise HitchoptError("no route was found")
         fastest = routes.accepted[0]
-        plan = self._in_duration(self._certified[fastest.motion])
+        plan = self._certified[fastest.motion]
+        if self.duration is not None:
+            check_duration(self.duration, plan.motion.duration)
+            slower = in_duration(plan.motion, self.duration)
+            phases = (self.phase.retimed(0.0, self.duration),)
+            plan = require_certified(replace(plan, motion=slower.replaced(phases=phases)))
         remark = ""
         if plan.path is not self.straight:
-            is_feasible = any(not route.name for route in routes.accepted)
-            remark = self._remark(fastest.name, is_feasible=is_feasible)
+            guess = fastest.name
+            remark = f"on an optimised route, first guess {guess}" if guess else "legs lead and lag"
+            if self.cost is None:
+                is_straight_feasible = any(not route.name for route in routes.accepted)
+                remark += f"; {FASTER if is_straight_feasible else DIRECT_INFEASIBLE}"
         if (self.allow_slides or cost is not None) and self.duration is None:
             plan, gain = refined_plan(task, plan, self.phase, cost)
             remark = "; ".join(filter(None, [remark, gain]))
@@ -123,22 +131,6 @@ class OptimisedRoute:
             plan = past_obstacles(self.task, along(path), path, along)
         self._certified[plan.motion] = plan
         return plan.motion
-
-    def _in_duration(self, plan: StepPlan) -> StepPlan:
-        """Return the certified plan in the prescribed duration, if there is one."""
-        if self.duration is None:
-            return plan
-        check_duration(self.duration, plan.motion.duration)
-        slower = in_duration(plan.motion, self.duration)
-        phases = (self.phase.retimed(0.0, self.duration),)
-        return require_certified(replace(plan, motion=slower.replaced(phases=phases)))
-
-    def _remark(self, guess: str, *, is_feasible: bool) -> str:
-        """Describe a route from a guess; ``is_feasible`` says whether straight lines are."""
-        route = f"on an optimised route, first guess {guess}" if guess else "legs lead and lag"
-        if self.cost is not None:
-            return route
-        return f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}"
 
     def _plan_along_best(self, best: KnotPath) -> StepPlan:
         """Return the plan along the best route that was tried.

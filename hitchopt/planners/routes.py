@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from hitchopt.errors import AT_END
 from hitchopt.geometry import Outline
@@ -30,23 +30,12 @@ OPTIMISED_ROUTE = "optimised route"
 FASTER_ROUTE = "faster route"
 
 
-class SearchThreshold(NamedTuple):
-    """Conditions under which a route faster than the step's own is searched without a request."""
-
-    ratio: float
-    """Duration of the step's own route over its lower bound."""
-
-    turn: float
-    """[rad] Mean turn of the edges."""
-
-
-SEARCH_THRESHOLDS = (
-    SearchThreshold(ratio=1.3, turn=0.0),
-    SearchThreshold(ratio=1.1, turn=math.radians(15.0)),
-)
-"""Straight routes between nearly regular polygons that hardly turn take up to 1.29 times their
-bound, and other routes are no faster. If edges turn, straight lines shorten them midway: of 29
-morphs between irregular polygons, 11 were 6 to 17 % faster on another route."""
+SEARCH_THRESHOLDS = ((1.3, 0.0), (1.1, math.radians(15.0)))
+"""Durations of a step's own route over its lower bound, and mean turns of its edges [rad], above
+both of which a faster route is searched without a request. Straight routes between nearly regular
+polygons that hardly turn take up to 1.29 times their bound, and other routes are no faster. If
+edges turn, straight lines shorten them midway: of 29 morphs between irregular polygons, 11 were 6
+to 17 % faster on another route."""
 
 MAX_SEARCHED = 24
 """Number of robots up to which a faster route is searched that was not requested."""
@@ -62,8 +51,8 @@ def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
     bound = min_duration(start, end, plan.motion.requirements.limits)
     turn = abs(turns(start.polygon, end.polygon)[0])
     return any(
-        plan.motion.duration > threshold.ratio * bound and turn >= threshold.turn
-        for threshold in SEARCH_THRESHOLDS
+        plan.motion.duration > ratio * bound and turn >= least_turn
+        for ratio, least_turn in SEARCH_THRESHOLDS
     )
 
 
@@ -119,7 +108,12 @@ class RouteSearch:
         breaks a limit at rest.
         """
         task = self.task
-        is_requested = self._requests_optimiser()
+        for_time = self.allow_slides or self.phase.tension is not None
+        is_requested = (
+            task.optimiser
+            and (self.cost is not None or (for_time and self.duration is None))
+            and moves(task.hitch, self.end)
+        )
         if is_requested:
             yield Candidate(OPTIMISED_ROUTE, self._requested_plan)
         yield Candidate(OWN_ROUTE, self._own_plan if is_requested else self.own_or_faster_plan)
@@ -127,12 +121,6 @@ class RouteSearch:
             check_at_rest(hitch, task.requirements, AT_END, self.phase.place)
         if task.optimiser and not is_requested:
             yield Candidate(OPTIMISED_ROUTE, self.optimised_plan)
-
-    def _requests_optimiser(self) -> bool:
-        """Return whether the step requests an optimised route."""
-        for_time = self.allow_slides or self.phase.tension is not None
-        is_requested = self.cost is not None or (for_time and self.duration is None)
-        return self.task.optimiser and is_requested and moves(self.task.hitch, self.end)
 
     def _requested_plan(self) -> StepPlan:
         """Return the optimised plan that the step requests, which may be along straight lines."""

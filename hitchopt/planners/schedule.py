@@ -201,36 +201,6 @@ class SampledPath:
         return Boxes(lower, upper)
 
 
-class BodyPairs(NamedTuple):
-    """All pairs of bodies of two tracks that keep one distance."""
-
-    check: str
-    """Name of the check."""
-
-    limit: float
-    """Limit of the distance [m or ratio]."""
-
-    first: SampledBodies
-    """The bodies that the rule names first."""
-
-    second: SampledBodies
-    """The other bodies."""
-
-    swapped: bool
-    """True if the first bodies are those of the second track."""
-
-
-def _pairs(a: SampledPath, b: SampledPath, separation: Separation) -> Iterator[BodyPairs]:
-    """Yield the pairs of bodies of two tracks."""
-    for rule in DISTANCES.values():
-        limit = rule.limit(separation)
-        for kind, other_kind in rule.kinds:
-            for first, second in ((a, b), (b, a))[: 1 + (kind != other_kind)]:
-                of_first = first.bodies(kind, second)
-                of_second = second.bodies(other_kind, first)
-                yield BodyPairs(rule.check, limit, of_first, of_second, swapped=first is b)
-
-
 def slacks(a: SampledPath, b: SampledPath, separation: Separation) -> Array:
     """Return the smallest slack (samples of a, samples of b) [m], infinite beyond REACH."""
     separated = 2.0 * max(separation.radius, separation.height)
@@ -267,20 +237,25 @@ def _slacks_by_check(
     """Yield the slacks of all checks at samples i of a and j of b (m,)."""
     half_axes = 0.5 / separation.scale
     axes_of = {"separation": 2.0 * half_axes, "downwash": half_axes}
-    for pairs in _pairs(a, b, separation):
-        of_first, of_second = (j, i) if pairs.swapped else (i, j)
-        axes = axes_of.get(pairs.check, np.ones(3))
-        slack_of = _downwash_slack if pairs.check == "downwash" else _slack
+    both = (a, i), (b, j)
+    pairs = (
+        (rule, kinds, tracks)
+        for rule in DISTANCES.values()
+        for kinds in rule.kinds
+        for tracks in (both, both[::-1])[: 1 + (kinds[0] != kinds[1])]
+    )
+    for rule, (kind, other_kind), ((first, of_first), (second, of_second)) in pairs:
+        limit = rule.limit(separation)
+        bodies, others = first.bodies(kind, second), second.bodies(other_kind, first)
+        axes = axes_of.get(rule.check, np.ones(3))
+        slack_of = _downwash_slack if rule.check == "downwash" else _slack
         slack = np.full(len(i), np.inf)
-        bodies = pairs.first.corners.shape[1] * pairs.second.corners.shape[1]
-        size = max(1, CHUNK // max(1, bodies))
+        size = max(1, CHUNK // max(1, bodies.corners.shape[1] * others.corners.shape[1]))
         for start in range(0, len(i), size):
             check_time()
             rows = slice(start, start + size)
-            slack[rows] = slack_of(
-                pairs.first, pairs.second, of_first[rows], of_second[rows], pairs.limit, axes
-            )
-        yield CheckSlacks(pairs.check, pairs.limit, float(np.min(axes)), slack)
+            slack[rows] = slack_of(bodies, others, of_first[rows], of_second[rows], limit, axes)
+        yield CheckSlacks(rule.check, limit, float(np.min(axes)), slack)
 
 
 def _slack(
@@ -509,7 +484,9 @@ class Schedule:
         for starts_before in (False, True) if earlier else (False,):
             feasible = list[Placed]()
             for layer in range(layers):
-                track = self._path(team, layer)
+                if layer and (team, layer) not in self.alternatives:
+                    self.alternatives[team, layer] = self.alternative(team, layer)
+                track = self.alternatives[team, layer] if layer else self.tracks[team]
                 if track is None:
                     continue
                 start = self._earliest(track, placed, pad, earlier=starts_before)
@@ -520,14 +497,6 @@ class Schedule:
             if feasible:
                 return min(feasible, key=lambda path: path.start + len(path.track))
         return conflicts[0]
-
-    def _path(self, k: int, layer: int) -> SampledPath | None:
-        """Return a team's path in a layer, or None."""
-        if layer == 0:
-            return self.tracks[k]
-        if (k, layer) not in self.alternatives:
-            self.alternatives[k, layer] = self.alternative(k, layer)
-        return self.alternatives[k, layer]
 
     def _earliest(
         self, track: SampledPath, placed: Sequence[Placed], pad: float, *, earlier: bool

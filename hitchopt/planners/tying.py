@@ -277,10 +277,6 @@ def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
     phase = Phase("morph", task.index, 0.0, 0.0, CIRCLE_REMARK)
     start = task.within(task.requirements, tied.after)
 
-    def in_one() -> StepPlan:
-        """Return the plan that changes shape and altitude simultaneously."""
-        return reshaped(start, goal, phase)
-
     def lowered_last() -> StepPlan:
         """Return the plan that changes the shape, then the altitude."""
         morph = reshaped(start, goal.at_altitude(start.hitch.altitude), phase)
@@ -294,6 +290,7 @@ def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
         plan = planner()
         return require_certified(replace(plan, motion=concatenated([tied.motion, plan.motion])))
 
+    in_one = partial(reshaped, start, goal, phase)  # shape and altitude simultaneously
     candidates = [Candidate("morph", partial(whole, in_one))]
     if abs(goal.altitude - start.hitch.altitude) > ALTITUDE_TOLERANCE:
         candidates.append(Candidate("morph before lowering", partial(whole, lowered_last)))

@@ -22,7 +22,6 @@ from hitchopt.planners.timing.clock import Clock
 from hitchopt.planners.timing.profile import if_timed
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.planners.timing.timed_motion import (
-    ClockedMotion,
     fastest_motion,
     in_duration,
     motion_by,
@@ -99,7 +98,8 @@ class Flight:
         """Return the fastest flight along a path, or None if it cannot be flown."""
         if shape_violation(path) is not None:
             return None
-        clocked = if_balanced(partial(_fastest_motion, path, requirements), None)
+        timed = partial(if_timed, partial(fastest_motion, path, requirements))
+        clocked = if_balanced(timed, None)
         if clocked is None:
             return None
         return cls(path, *clocked, requirements, tension, cost)
@@ -227,8 +227,3 @@ def with_leg_lengths(path: Path) -> Path:
     """Return the path with q-legs as splines of their own, which do not depend on the slack."""
     flat = path.flat(np.linspace(0.0, 1.0, LEG_SAMPLES), 1)
     return replace(path, legs=LegLaw.of_lengths(evenly_interpolated(flat.q_legs[..., 0])))
-
-
-def _fastest_motion(path: Path, requirements: Requirements) -> ClockedMotion | None:
-    """Return the fastest motion along a path, or None if no timing was found."""
-    return if_timed(partial(fastest_motion, path, requirements))

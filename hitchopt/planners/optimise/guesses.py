@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -76,22 +75,20 @@ def polygon_guesses(first: Outline, last: Outline, count: int) -> dict[str, Arra
     straight = _line(first.vertices, last.vertices, s)
     if not first.closed:
         return {STRAIGHT: straight}
-    guesses = {STRAIGHT: straight, WIDENED: _widened(straight, s)}
+    middles = straight.mean(axis=1, keepdims=True)
+    scales = 1.0 + (WIDENING - 1.0) * np.sin(math.pi * s)[:, None, None]
+    guesses = {STRAIGHT: straight, WIDENED: middles + scales * (straight - middles)}
     for turn in turns(first, last):
         name = _turn_name(turn)
-        guesses[name] = _turning_shapes(first, last, turn, s)
+        # Polygons that turn while their shape changes
+        unturned_last = _rotated(last.vertices - last.centroid, np.array([-turn]))[0]
+        shapes = _line(first.vertices - first.centroid, unturned_last, s)
+        centres = _line(first.centroid, last.centroid, s)[:, None]
+        guesses[name] = centres + _rotated(shapes, turn * s)
         outlines = turning_edges(first, last, turn, s)
         if outlines is not None:
             guesses[f"edges {name}"] = outlines
     return guesses
-
-
-def _widened(polygons: Array, s: Array) -> Array:
-    """Return polygons (J, n, 2) [m] at s (J,) scaled about their middles, most halfway."""
-    middles = polygons.mean(axis=1, keepdims=True)
-    scales = 1.0 + (WIDENING - 1.0) * np.sin(math.pi * s)[:, None, None]
-    widened: Array = middles + scales * (polygons - middles)
-    return widened
 
 
 def _turn_name(turn: float) -> str:
@@ -198,7 +195,7 @@ def rolled_guesses(start: Hitch, end: Hitch, requirements: Requirements) -> list
     last = end.polygon
     s = np.linspace(0.0, 1.0, ROLLED_STEPS + 1)
     side = -1.0 if np.sum(start.roll) + np.sum(end.roll) < 0.0 else 1.0
-    ranked: list[RankedGuess] = []
+    ranked = list[tuple[float, KnotPath]]()
     for turn in turns(first, last):
         polygons = turning_edges(first, last, turn, s)
         if polygons is None:
@@ -206,24 +203,16 @@ def rolled_guesses(start: Hitch, end: Hitch, requirements: Requirements) -> list
         path = KnotPath.through(f"edges {_turn_name(turn)}", start, end, polygons)
         if is_hitch(path):
             ranked += _ranked_rolls(path, turn, side, requirements)
-    ranked.sort(key=lambda guess: guess.cost)
-    return [guess.path for guess in ranked]
-
-
-class RankedGuess(NamedTuple):
-    """A guess and what it is ranked by."""
-
-    cost: float
-    """Penalties of roll and turn minus the margin of distances; the smallest is tried first."""
-
-    path: KnotPath
-    """The guess."""
+    ranked.sort(key=lambda guess: guess[0])
+    return [path for _, path in ranked]
 
 
 def _ranked_rolls(
     path: KnotPath, turn: float, side: float, requirements: Requirements
-) -> list[RankedGuess]:
-    """Return guesses with the polygons of a path, and with all ROLLS and EVENNESS.
+) -> list[tuple[float, KnotPath]]:
+    """Return guesses with the polygons of a path, with all ROLLS and EVENNESS, and their costs.
+
+    Costs are penalties of roll and turn minus the margin of distances; the smallest is tried first.
 
     Parameters
     ----------
@@ -236,10 +225,10 @@ def _ranked_rolls(
     variants = list(product(ROLLS, EVENNESS))
     paths = [_rolled(path, side * roll, midway, evenness) for roll, evenness in variants]
     margins = np.min(distance_margins(paths, requirements)[:, 1:-1], axis=1)
-    ranked: list[RankedGuess] = []
+    ranked = list[tuple[float, KnotPath]]()
     for rolled, (roll, _), margin in zip(paths, variants, margins.tolist(), strict=True):
         cost = ROLL_COST * roll + TURN_COST * abs(turn) - min(margin, 1.0)
-        ranked.append(RankedGuess(cost, rolled))
+        ranked.append((cost, rolled))
     return ranked
 
 
@@ -302,14 +291,6 @@ def _edge_angles(outline: Outline) -> Array:
     first_angle = math.atan2(north, east)
     after_first = outline.exterior_angles[1:] if outline.closed else outline.exterior_angles
     return first_angle - np.append(0.0, np.cumsum(after_first))
-
-
-def _turning_shapes(first: Outline, last: Outline, turn: float, s: Array) -> Array:
-    """Return polygons (J, n, 2) [m] that turn by an angle [rad] while their shape changes."""
-    centres = _line(first.centroid, last.centroid, s)[:, None]
-    unturned_last = _rotated(last.vertices - last.centroid, np.array([-turn]))[0]
-    shapes = _line(first.vertices - first.centroid, unturned_last, s)
-    return centres + _rotated(shapes, turn * s)
 
 
 def _line(first: Array, last: Array, s: Array) -> Array:

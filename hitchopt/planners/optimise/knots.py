@@ -347,9 +347,13 @@ def variable_bounds(path: KnotPath, search: SearchLimits, stride: float) -> tupl
     lowest_tension, highest_tension = _tension_bounds(path.team, search)
     lower[:, columns.tensions] = lowest_tension
     upper[:, columns.tensions] = highest_tension
-    shortest = _shortest_legs(path.steps, search)[:, None]
-    lower[:, columns.q_legs] = shortest
-    lower[:, columns.r_legs] = shortest
+    # Legs have the margins of distances
+    margins = search.margins(path.steps, np.arange(1.0, path.steps))
+    share = (margins - 1.0) / max(search.margin - 1.0, MIN_MARGIN_RESERVE)
+    leg_margin = KNOT_MARGIN if search.cost is None else COST_LEG_MARGIN
+    shortest = search.requirements.limits.leg + leg_margin * np.clip(share, 0.0, 1.0)
+    lower[:, columns.q_legs] = shortest[:, None]
+    lower[:, columns.r_legs] = shortest[:, None]
     nodes = columns.nodes
     lower[:, nodes] = np.maximum(lower[:, nodes], table[:, nodes] - stride)
     upper[:, nodes] = np.minimum(upper[:, nodes], table[:, nodes] + stride)
@@ -374,11 +378,3 @@ def _tension_bounds(team: Team, search: SearchLimits) -> tuple[Array, Array]:
     pull = pull_of_drones.reshape(-1, 2).min(axis=1)
     highest = np.maximum(lowest, np.minimum(largest - margin, pull))
     return np.full(team.robots, lowest), highest
-
-
-def _shortest_legs(steps: int, search: SearchLimits) -> Array:
-    """Return the shortest legs (steps - 1,) [m] at inner knots, with the margins of distances."""
-    margins = search.margins(steps, np.arange(1.0, steps))
-    share = (margins - 1.0) / max(search.margin - 1.0, MIN_MARGIN_RESERVE)
-    leg_margin = KNOT_MARGIN if search.cost is None else COST_LEG_MARGIN
-    return np.asarray(search.requirements.limits.leg + leg_margin * np.clip(share, 0.0, 1.0))

@@ -200,10 +200,12 @@ class RowBlock:
 def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> MorphProgram:
     """Return the program around a path, with near pairs and normals of that path."""
     linear = _linearised(path, free_tensions=search.tension is not None)
+    distances_by_table, smallest_changes = _near_rows(path, search, step)
+    no_upper = np.full(len(smallest_changes), np.inf)
     blocks = [
         _bound_rows(path, search, step, linear.tangent),
         _turn_rows(path, linear),
-        _distance_rows(path, search, step, linear.tangent),
+        RowBlock(distances_by_table @ linear.tangent, smallest_changes, no_upper),
     ]
     objective = _energy(path, search, fastest=step.fastest)
     times = np.zeros(0)
@@ -242,15 +244,6 @@ def _turn_rows(path: KnotPath, linear: Linearisation) -> RowBlock:
     return RowBlock(linear.turn_slopes, min_sine - linear.turns, no_upper)
 
 
-def _distance_rows(
-    path: KnotPath, search: SearchLimits, step: SolverStep, tangent: sp.csr_array[np.float64]
-) -> RowBlock:
-    """Return the rows of the distances of near pairs."""
-    distances_by_table, smallest_changes = _near_rows(path, search, step)
-    no_upper = np.full(len(smallest_changes), np.inf)
-    return RowBlock(distances_by_table @ tangent, smallest_changes, no_upper)
-
-
 def _timed_block(timed: TimedRows, path: KnotPath, tangent: sp.csr_array[np.float64]) -> RowBlock:
     """Return the rows of limits that depend on the steps' times too."""
     no_lower = np.full(len(timed.spare), -np.inf)
@@ -274,9 +267,24 @@ def _assembled(
     upper = np.concatenate([block.upper for block in blocks])
     changes = tangent.shape[1]
     violated = np.flatnonzero((lower > 0.0) | (upper < 0.0))
-    slack_entries = np.where(lower[violated] > 0.0, TUNING.slack_scale, -TUNING.slack_scale)
     slacks = len(violated)
     variables = changes + len(times) + slacks
+
+    by_changes = sp.coo_array(sp.vstack([block.by_changes for block in blocks]))
+    rows: list[Indices] = [np.asarray(by_changes.row, dtype=np.intp)]
+    columns: list[Indices] = [np.asarray(by_changes.col, dtype=np.intp)]
+    entries = [by_changes.data]
+    first_row = 0
+    for block in blocks:
+        if block.by_times is not None:
+            rows.append(first_row + block.by_times.row)
+            columns.append(changes + block.by_times.step)
+            entries.append(block.by_times.entry)
+        first_row += len(block.lower)
+    rows.append(violated)
+    columns.append(np.arange(variables - slacks, variables))
+    entries.append(np.where(lower[violated] > 0.0, TUNING.slack_scale, -TUNING.slack_scale))
+    indices = (np.concatenate(rows), np.concatenate(columns))
 
     gradient_by_changes = np.asarray(tangent.T @ objective.gradient)
     penalties = np.full(slacks, TUNING.penalty_weight * TUNING.slack_scale)
@@ -288,46 +296,11 @@ def _assembled(
     return QuadraticProgram(
         P=sp.csc_array((hessian.data, (hessian.row, hessian.col)), (variables, variables)),
         q=stride * gradient,
-        A=_row_matrix(blocks, violated, slack_entries, first_time=changes, variables=variables),
+        A=sp.csc_array((np.concatenate(entries), indices), (first_row, variables)),
         lower=lower / stride,
         upper=upper / stride,
         x_min=np.concatenate([smallest_changes, smallest_time_changes, np.zeros(slacks)]),
     )
-
-
-def _row_matrix(
-    blocks: Sequence[RowBlock],
-    violated: Indices,
-    slack_entries: Array,
-    *,
-    first_time: int,
-    variables: int,
-) -> sp.csc_array[np.float64]:
-    """Return the matrix (rows, variables) of all blocks.
-
-    Parameters
-    ----------
-    violated: (slacks,), rows with slacks, which are the last variables.
-    slack_entries: (slacks,), derivatives of these rows by their slacks.
-    first_time: index of the first variable that is a time.
-    variables: their number.
-    """
-    by_changes = sp.coo_array(sp.vstack([block.by_changes for block in blocks]))
-    rows: list[Indices] = [np.asarray(by_changes.row, dtype=np.intp)]
-    columns: list[Indices] = [np.asarray(by_changes.col, dtype=np.intp)]
-    entries = [by_changes.data]
-    first_row = 0
-    for block in blocks:
-        if block.by_times is not None:
-            rows.append(first_row + block.by_times.row)
-            columns.append(first_time + block.by_times.step)
-            entries.append(block.by_times.entry)
-        first_row += len(block.lower)
-    rows.append(violated)
-    columns.append(np.arange(variables - len(violated), variables))
-    entries.append(slack_entries)
-    indices = (np.concatenate(rows), np.concatenate(columns))
-    return sp.csc_array((np.concatenate(entries), indices), (first_row, variables))
 
 
 class Linearisation(NamedTuple):
@@ -350,50 +323,12 @@ def _linearised(path: KnotPath, *, free_tensions: bool) -> Linearisation:
     """
     columns = path.columns
     arguments = ClaspColumns.of(path)
-    clasps = _clasp_derivatives(path, arguments)
-    count = len(clasps.turns)
-    knot = np.arange(path.steps - 1)
-    inner_size = columns.size * len(knot)
-
-    free_columns = [columns.vertices.ravel(), columns.q_legs]
-    if free_tensions:
-        free_columns.append(columns.tensions)
-    free = columns.flat_index(knot[:, None], np.concatenate(free_columns)).ravel()
-    change_of_entry = np.full(inner_size, -1)
-    change_of_entry[free] = np.arange(len(free))
-
-    # Every clasp has rows in the table, and one of its turn after the table
-    in_table = columns.flat_index(knot[:, None, None], arguments.results).reshape(count, -1)
-    in_turns = inner_size + np.arange(count)
-    result_rows = np.column_stack([in_table, in_turns])
-    argument_entries = columns.flat_index(knot[:, None, None], arguments.all).reshape(count, -1)
-    argument_changes = change_of_entry[argument_entries]
-    rows, changes = np.broadcast_arrays(result_rows[:, :, None], argument_changes[:, None, :])
-    is_free = changes >= 0
-    all_rows = np.append(rows[is_free], free)
-    all_changes = np.append(changes[is_free], np.arange(len(free)))
-    entries = np.append(clasps.slopes[is_free], np.ones(len(free)))
-    shape = (inner_size + count, len(free))
-    slopes = sp.csr_array((entries, (all_rows, all_changes)), shape)
-    return Linearisation(slopes[:inner_size], slopes[inner_size:], clasps.turns)
-
-
-class ClaspDerivatives(NamedTuple):
-    """Derivatives of the model of a clasp at all inner knots and clasps."""
-
-    slopes: Array
-    """(inner knots · n, 6, 10), as of ``_slopes_function``."""
-
-    turns: Array
-    """(inner knots · n,): sines of exterior angles."""
-
-
-def _clasp_derivatives(path: KnotPath, arguments: ClaspColumns) -> ClaspDerivatives:
-    """Return the derivatives of the model of all clasps at the inner knots of a path."""
     team = path.team
     n = team.robots
+    knot = np.arange(path.steps - 1)
     knots = path.table[1:-1]
-    count = n * len(knots)
+    count = n * len(knot)
+    inner_size = columns.size * len(knot)
 
     def of_all(values: Array) -> Array:
         """Return values (knots, n, rows) or (n, rows) as columns (rows, knots · n)."""
@@ -416,8 +351,30 @@ def _clasp_derivatives(path: KnotPath, arguments: ClaspColumns) -> ClaspDerivati
         load=of_all(GRAVITY * team.load[:, None]),
         weight=GRAVITY * team.cable_density,
     )
-    slopes = np.asarray(outputs["slopes"]).reshape(6, count, -1).transpose(1, 0, 2)
-    return ClaspDerivatives(slopes, np.asarray(outputs["turn"]).ravel())
+    by_arguments = np.asarray(outputs["slopes"]).reshape(6, count, -1).transpose(1, 0, 2)
+
+    free_columns = [columns.vertices.ravel(), columns.q_legs]
+    if free_tensions:
+        free_columns.append(columns.tensions)
+    free = columns.flat_index(knot[:, None], np.concatenate(free_columns)).ravel()
+    change_of_entry = np.full(inner_size, -1)
+    change_of_entry[free] = np.arange(len(free))
+
+    # Every clasp has rows in the table, and one of its turn after the table
+    in_table = columns.flat_index(knot[:, None, None], arguments.results).reshape(count, -1)
+    in_turns = inner_size + np.arange(count)
+    result_rows = np.column_stack([in_table, in_turns])
+    argument_entries = columns.flat_index(knot[:, None, None], arguments.all).reshape(count, -1)
+    argument_changes = change_of_entry[argument_entries]
+    rows, changes = np.broadcast_arrays(result_rows[:, :, None], argument_changes[:, None, :])
+    is_free = changes >= 0
+    all_rows = np.append(rows[is_free], free)
+    all_changes = np.append(changes[is_free], np.arange(len(free)))
+    entries = np.append(by_arguments[is_free], np.ones(len(free)))
+    shape = (inner_size + count, len(free))
+    slopes = sp.csr_array((entries, (all_rows, all_changes)), shape)
+    turns = np.asarray(outputs["turn"]).ravel()
+    return Linearisation(slopes[:inner_size], slopes[inner_size:], turns)
 
 
 PLAN_VIEW = [0, 1, 3, 4, 6, 7]
@@ -498,7 +455,14 @@ def _energy(path: KnotPath, search: SearchLimits, *, fastest: bool) -> Quadratic
     """Return the energy of the path, with its small weight if the path is to be ``fastest``."""
     columns = path.columns
     limits = search.requirements.limits
-    forms = _difference_forms(path.steps)
+    # Integrals over s of the squares of a function, its slope and its bend, as quadratic forms of
+    # its values at J + 1 knots, by differences
+    steps = path.steps
+    difference = np.diff(np.eye(steps + 1), axis=0)
+    second_difference = np.diff(difference, axis=0)
+    values = np.eye(steps + 1) / steps
+    slopes = steps * (difference.T @ difference)
+    bends = steps**3 * (second_difference.T @ second_difference)
     energy_weight = 1.0
     bend_weight = TUNING.bend_weight
     if fastest:
@@ -509,42 +473,15 @@ def _energy(path: KnotPath, search: SearchLimits, *, fastest: bool) -> Quadratic
     scale[columns.vertices] = 1.0 / limits.vertex_speed
     scale[columns.drones] = 1.0 / limits.speed
     robots = path.team.robots
-    motion_form = 2.0 / robots * (energy_weight * forms.slopes + bend_weight * forms.bends)
+    motion_form = 2.0 / robots * (energy_weight * slopes + bend_weight * bends)
     energy = _quadratic(path, motion_form, scale)
     if search.tension is None:
         return energy
     scale = np.zeros(columns.size)  # to fractions of the team's tensions
     scale[columns.tensions] = 1.0 / path.team.tension
-    changes = TUNING.tension_change_weight * (forms.slopes + TUNING.bend_weight * forms.bends)
-    tension_form = 2.0 / robots * TUNING.tension_weight * (forms.values + changes)
+    changes = TUNING.tension_change_weight * (slopes + TUNING.bend_weight * bends)
+    tension_form = 2.0 / robots * TUNING.tension_weight * (values + changes)
     return energy.plus(_quadratic(path, tension_form, scale))
-
-
-class DifferenceForms(NamedTuple):
-    """Integrals over s of squares of a function, as quadratic forms of its values at J + 1 knots.
-
-    All are (J + 1, J + 1).
-    """
-
-    values: Array
-    """Form of the function."""
-
-    slopes: Array
-    """Form of its first derivative with respect to s, by differences."""
-
-    bends: Array
-    """Form of its second derivative with respect to s, by differences."""
-
-
-def _difference_forms(steps: int) -> DifferenceForms:
-    """Return the forms for a number J of steps."""
-    difference = np.diff(np.eye(steps + 1), axis=0)
-    second_difference = np.diff(difference, axis=0)
-    return DifferenceForms(
-        values=np.eye(steps + 1) / steps,
-        slopes=steps * (difference.T @ difference),
-        bends=steps**3 * (second_difference.T @ second_difference),
-    )
 
 
 def _quadratic(path: KnotPath, form: Array, scale: Array) -> QuadraticTerms:
@@ -637,11 +574,15 @@ def _near_rows(
     of two knots and a constant deviation.
     """
     columns = path.columns
-    frames = _frames(path, step.parts)
-    places = frames.table[:, columns.nodes]
-    nodes = np.concatenate([places, frames.heights[..., None]], axis=-1)
-    margins = search.margins(path.steps, frames.indices)
-    is_knot = frames.indices % 1.0 == 0.0
+    # Places on the path in steps between knots: inner knots, or inner ends of parts of every step
+    indices = np.arange(1, step.parts * path.steps) / step.parts
+    table, heights = path.table[1:-1], path.node_heights[1:-1]
+    if step.parts > 1:
+        hitches = path.at(indices / path.steps)
+        table, heights = hitches.table, hitches.node_heights
+    nodes = np.concatenate([table[:, columns.nodes], heights[..., None]], axis=-1)
+    margins = search.margins(path.steps, indices)
+    is_knot = indices % 1.0 == 0.0
     reach = np.where(is_knot, 1.0, TUNING.between_knots_share) * step.reach
     pairs = near_pairs(path.team.layout, nodes, search.requirements, margins, reach)
 
@@ -652,41 +593,14 @@ def _near_rows(
     slopes = np.concatenate([gradient[:, :2], -gradient[:, :2]], axis=1)
     entries = columns.flat_index(frame[:, None], columns_of_ends)
     row_starts = slopes.shape[1] * np.arange(len(pair) + 1)
-    shape = (len(pair), frames.table.size)
+    shape = (len(pair), table.size)
     by_frames = sp.csr_array((slopes.ravel(), entries.ravel(), row_starts), shape)
-    rise = frames.heights[frame, first] - frames.heights[frame, second]
-    distances_in_plan = by_frames @ frames.table.ravel()
+    rise = heights[frame, first] - heights[frame, second]
+    distances_in_plan = by_frames @ table.ravel()
     smallest_changes = pairs.enforced[pair] - gradient[:, 2] * rise - distances_in_plan
     if step.parts == 1:
         return by_frames, smallest_changes
-    by_knots = _blockwise(_knot_shares(path, frames.indices), np.ones(columns.size))
-    return sp.csr_array(by_frames @ by_knots), smallest_changes
-
-
-class Frames(NamedTuple):
-    """K hitches on a path at which distances are enforced."""
-
-    indices: Array
-    """(K,): places on the path, in steps between knots."""
-
-    table: Array
-    """(K, size): their table."""
-
-    heights: Array
-    """(K, 3n) [m]: heights of the nodes over the plane."""
-
-
-def _frames(path: KnotPath, parts: int) -> Frames:
-    """Return the inner knots of a path, or the inner ends of ``parts`` of every step."""
-    indices = np.arange(1, parts * path.steps) / parts
-    if parts == 1:
-        return Frames(indices, path.table[1:-1], path.node_heights[1:-1])
-    hitches = path.at(indices / path.steps)
-    return Frames(indices, hitches.table, hitches.node_heights)
-
-
-def _knot_shares(path: KnotPath, indices: Array) -> Array:
-    """Return the shares (K, inner knots) of knots in chords at fractional indices (K,)."""
     inner_knots = np.arange(1.0, path.steps)
-    shares: Array = np.maximum(1.0 - np.abs(indices[:, None] - inner_knots), 0.0)
-    return shares
+    shares_of_knots = np.maximum(1.0 - np.abs(indices[:, None] - inner_knots), 0.0)  # in chords
+    by_knots = _blockwise(shares_of_knots, np.ones(columns.size))
+    return sp.csr_array(by_frames @ by_knots), smallest_changes

@@ -126,7 +126,9 @@ def refined(
     largest = unrefined - TUNING.min_shorter * motion.duration
     better = [each for each in flown if each.objective < largest]
     better.sort(key=lambda each: each.objective)
-    for index in _judged(len(better)):
+    last = len(better) - 1
+    # Consecutive flights fail alike
+    for index in sorted({0, 1, len(better) // 2, last} & set(range(len(better)))):
         effort.spend(TUNING.flight_cost * path.team.robots)
         certified = certify(better[index].path, better[index].motion)
         if certified is not None:
@@ -164,11 +166,6 @@ class Flown(NamedTuple):
         return cls(flight.path, motion, flight.cost(motion.duration / flight.duration))
 
 
-def _judged(count: int) -> list[int]:
-    """Return which flights are judged, the shortest first: consecutive ones fail alike."""
-    return sorted({0, 1, count // 2, count - 1} & set(range(count)))
-
-
 def _better_flights(flight: Flight, effort: Effort) -> Iterator[Flight]:
     """Yield the flights after each step that lowers the objective, or restores distances."""
     stride = TUNING.stride
@@ -188,13 +185,7 @@ def _better_flights(flight: Flight, effort: Effort) -> Iterator[Flight]:
         if moved is not None and ratio > ACCEPTED:
             flight = moved
             yield flight
-        stride = min(stride * _stride_factor(ratio), TUNING.max_stride)
+        factors = (factor for least_ratio, factor in STRIDE_FACTORS if ratio > least_ratio)
+        stride = min(stride * next(factors, TUNING.rejected_factor), TUNING.max_stride)
         if stride < TUNING.min_stride or stalled == TUNING.max_stalled or expected < least:
             return
-
-
-def _stride_factor(ratio: float) -> float:
-    """Return the factor of the trust radius for the ratio of a gain to the expected one."""
-    return next(
-        (factor for least, factor in STRIDE_FACTORS if ratio > least), TUNING.rejected_factor
-    )

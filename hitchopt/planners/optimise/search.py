@@ -263,7 +263,8 @@ class OptimisedMorph:
         if not routes:
             routes += self._rolled(rejected)
         if not routes and rejected:
-            return Routes([], _most_feasible(rejected, self.requirements))
+            margins = [_worst_margin(path, self.requirements) for path in rejected]
+            return Routes([], rejected[int(np.argmax(margins))])
         return Routes(sorted(routes, key=lambda route: route.objective), None)
 
     def _cost_of(self, path: Path, motion: Motion) -> float:
@@ -299,7 +300,16 @@ class OptimisedMorph:
 
         Guesses differ from each other, and without ``with_straight`` from the straight path.
         """
-        guesses = self._distinct_guesses(with_straight=with_straight)
+        polygons_by_name = polygon_guesses(
+            self.start.polygon, self.end.polygon, TUNING.min_steps + 1
+        )
+        excluded = [] if with_straight else [polygons_by_name[STRAIGHT]]
+        guesses: list[KnotPath] = []
+        for name, polygons in reversed(polygons_by_name.items()):  # those on turning edges first
+            if any(_coincide(polygons, others) for others in excluded):
+                continue
+            excluded.append(polygons)
+            guesses.append(KnotPath.through(name, self.start, self.end, polygons))
         paths = [path for path in guesses if is_hitch(path)]
         if not paths:
             return {}
@@ -311,22 +321,6 @@ class OptimisedMorph:
         if legs_pass:
             return {path: margins[path] for path in paths if path.name != WIDENED}
         return margins
-
-    def _distinct_guesses(self, *, with_straight: bool) -> list[KnotPath]:
-        """Return initial guesses, those on turning edges first.
-
-        Guesses differ from each other, and without ``with_straight`` from the straight path.
-        """
-        knots = TUNING.min_steps + 1
-        polygons_by_name = polygon_guesses(self.start.polygon, self.end.polygon, knots)
-        excluded = [] if with_straight else [polygons_by_name[STRAIGHT]]
-        guesses: list[KnotPath] = []
-        for name, polygons in reversed(polygons_by_name.items()):
-            if any(_coincide(polygons, others) for others in excluded):
-                continue
-            excluded.append(polygons)
-            guesses.append(KnotPath.through(name, self.start, self.end, polygons))
-        return guesses
 
     def _max_effort(self, paths: list[KnotPath], *, has_motion: bool) -> float:
         """Return the limit of the effort to optimise paths.
@@ -411,18 +405,15 @@ class OptimisedMorph:
                     return [route]
                 spent += search.effort.spent
             if not unoptimised:
-                motion = self._flown_as_it_is(guess)
+                # As it is, with leg lengths that keep distances
+                self.effort.spend(TUNING.legs_effort_per_robot * guess.team.robots)
+                clear = if_balanced(partial(self._clear_path, guess.path), None)
+                motion = None if clear is None else self.judge(clear)
                 if motion is None:
                     rejected.append(guess)
                 else:
                     unoptimised = [Route(guess.name, motion, self._cost_of(guess.path, motion))]
         return unoptimised
-
-    def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
-        """Return the motion along a guess with leg lengths that keep distances, or None."""
-        self.effort.spend(TUNING.legs_effort_per_robot * guess.team.robots)
-        path = if_balanced(partial(self._clear_path, guess.path), None)
-        return None if path is None else self.judge(path)
 
     def _clear_path(self, path: Path) -> Path | None:
         """Return a path with leg lengths that keep distances; None if it breaks a limit."""
@@ -577,12 +568,6 @@ def _last_accepted(paths: list[KnotPath], search: SearchLimits) -> tuple[KnotPat
         if motion is not None:
             return path, Route(path.name, motion, search.cost_of(path.path, motion.duration))
     return None
-
-
-def _most_feasible(paths: list[KnotPath], requirements: Requirements) -> KnotPath:
-    """Return the path with the largest margin of distances."""
-    margins = [_worst_margin(path, requirements) for path in paths]
-    return paths[int(np.argmax(margins))]
 
 
 def _worst_margin(path: KnotPath, requirements: Requirements) -> float:

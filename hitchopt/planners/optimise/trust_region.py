@@ -20,7 +20,7 @@ from hitchopt.planners.optimise.knots import QuadraticTerms
 from hitchopt.planners.optimise.motion_rows import ChosenRows, ClockSamples, LimitBlock
 from hitchopt.planners.optimise.program import ENTRY_COST
 from hitchopt.planners.optimise.shape_rows import ShapeBlock
-from hitchopt.planners.optimise.splines import PathSplines, scattered
+from hitchopt.planners.optimise.splines import scattered
 from hitchopt.values import Array, Indices
 
 MAX_ROUNDS = 4
@@ -130,10 +130,19 @@ class TrustRegion:
         radii = np.outer(per_coefficient, splines.columns.is_free).ravel()
         free = np.flatnonzero(radii)
         unit_radii = sp.diags_array(radii[free])
-        bends = _bending(splines)[free][:, free] * (BEND_WEIGHT / flight.path.team.robots)
-        duration = _duration(samples)
-        hessian = sp.block_diag([unit_radii @ bends @ unit_radii, duration.hessian])
-        rate_gradient = duration.gradient
+        # Form of the squared second differences of all splines' coefficients
+        differences = splines.pieces * np.diff(np.eye(splines.count), n=2, axis=0)
+        bending = sp.csr_array(
+            sp.kron(differences.T @ differences, sp.eye_array(splines.columns.size))
+        )
+        bends = bending[free][:, free] * (BEND_WEIGHT / flight.path.team.robots)
+        # Duration ``Σ w / √x`` by the coefficients of x
+        x = samples.rate[:, 0]
+        basis = samples.rate_basis
+        values = scattered(basis.indices, basis.jets[..., 0], samples.rate_count)
+        rate_gradient = np.asarray(values.T @ (-0.5 * samples.weights * x**-1.5))
+        of_rate = values.T @ sp.diags_array(0.75 * samples.weights * x**-2.5) @ values
+        hessian = sp.block_diag([unit_radii @ bends @ unit_radii, sp.csr_array(of_rate)])
         cost_gradient = np.zeros(splines.width)
         if flight.cost_expansion is not None:
             cost = _custom_cost(samples, flight.cost_expansion, radii)
@@ -185,23 +194,6 @@ class TrustRegion:
         of_cost = self.cost_gradient @ change[self.free]
         gain = -float(self.rate_gradient @ rate_change + of_cost)
         return Step(change, rate_change, gain)
-
-
-def _bending(splines: PathSplines) -> sp.csr_array[np.float64]:
-    """Return the form of the squared second differences of all splines' coefficients."""
-    differences = splines.pieces * np.diff(np.eye(splines.count), n=2, axis=0)
-    identity = sp.eye_array(splines.columns.size)
-    return sp.csr_array(sp.kron(differences.T @ differences, identity))
-
-
-def _duration(samples: ClockSamples) -> QuadraticTerms:
-    """Return the duration ``Σ w / √x`` [s] by the coefficients of x."""
-    x = samples.rate[:, 0]
-    basis = samples.rate_basis
-    values = scattered(basis.indices, basis.jets[..., 0], samples.rate_count)
-    gradient = np.asarray(values.T @ (-0.5 * samples.weights * x**-1.5))
-    hessian = values.T @ sp.diags_array(0.75 * samples.weights * x**-2.5) @ values
-    return QuadraticTerms(sp.csr_array(hessian), gradient)
 
 
 def _custom_cost(samples: ClockSamples, expansion: Expansion, radii: Array) -> QuadraticTerms:

@@ -97,19 +97,15 @@ def timed_in_shortest(
 ) -> tuple[PiecewisePolynomial, list[Check]]:
     """Return curves in their shortest duration, and their checks by rough bounds."""
     in_a_second = curves.stretched(1.0 / curves.duration)
-    timed = in_a_second.stretched(_shortest_duration(setting, in_a_second))
-    with rough_bounds():
-        return timed, checks_of(setting.task, timed)
-
-
-def _shortest_duration(setting: Setting, curves: PiecewisePolynomial) -> float:
-    """Return the shortest duration [s], with reserves, of curves whose duration is one."""
     durations = [MIN_DURATION]
     for order, cap in enumerate(setting.caps, start=1):
-        over_cap = PiecewisePolynomial(curves.breaks, curves.coefficients / cap[:, None, None])
+        over_cap = in_a_second.replaced(in_a_second.coefficients / cap[:, None, None])
         largest = max(largest_rate(over_cap, order).worst, 0.0)
         durations.append(float(np.power(largest, 1.0 / order)))
-    return further_stretch(_swarm_motion(setting.task, curves), STRETCH * max(durations))
+    motion = _swarm_motion(setting.task, in_a_second)
+    timed = in_a_second.stretched(further_stretch(motion, STRETCH * max(durations)))
+    with rough_bounds():
+        return timed, checks_of(setting.task, timed)
 
 
 CHECKED_RULES = distances_of("drones", *FIXED)

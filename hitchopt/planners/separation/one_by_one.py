@@ -16,7 +16,7 @@ from scipy.ndimage import label
 
 from hitchopt.errors import check_time
 from hitchopt.hitch.requirements import Prism, Requirements
-from hitchopt.planners.separation.prioritized import Lattice, Mask, Node, Reservations
+from hitchopt.planners.separation.prioritized import Lattice, Reservations
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import joined
@@ -60,18 +60,13 @@ def order_of(task: SeparationTask) -> list[int] | None:
         for other in preferred:
             if other != drone:
                 at_rest.add(np.array([goals[other] if other in flown else starts[other]]))
-        if _connected(at_rest.free(0), starts[drone], goals[drone]):
+        free = at_rest.free(0).copy()
+        free[starts[drone]] = free[goals[drone]] = True
+        connected, _ = label(free, structure=np.ones((3, 3, 3)))
+        if connected[starts[drone]] == connected[goals[drone]]:
             flown.append(drone)
             untried.append([other for other in preferred if other not in flown])
     return flown if len(flown) == task.drones else None
-
-
-def _connected(free: Mask, start: Node, goal: Node) -> bool:
-    """Return whether steps between free points (x, y, z) of a lattice lead from start to goal."""
-    mask = free.copy()
-    mask[start] = mask[goal] = True
-    parts, _ = label(mask, structure=np.ones((3, 3, 3)))
-    return bool(parts[start] == parts[goal])
 
 
 def alone(task: SeparationTask, drone: int, flown: Sequence[int]) -> SeparationTask:

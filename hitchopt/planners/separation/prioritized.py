@@ -14,7 +14,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,19 +119,21 @@ class Lattice:
     @classmethod
     def of(cls, task: SeparationTask) -> Lattice | None:
         """Return the lattice of a task; None if the space is too large for one."""
-        separation = task.requirements.separation
-        box = _box(task)
-        size = (box.upper - box.lower) * separation.scale  # in separations
+        separation, arena = task.requirements.separation, task.requirements.arena
+        ends = np.vstack([task.start, task.goal])
+        margin = TUNING.margin / separation.scale
+        lower = np.min(ends, axis=0) - margin
+        upper = np.max(ends, axis=0) + margin
+        if arena is not None:
+            lower, upper = np.maximum(lower, arena.lower), np.minimum(upper, arena.upper)
+        size = (upper - lower) * separation.scale  # in separations
         spacing = TUNING.spacing
         while np.prod(np.ceil(size / spacing) + 1.0) > TUNING.max_points:
             spacing *= TUNING.coarser
         if spacing > TUNING.max_spacing:
             return None
         counts = np.ceil(size / spacing).astype(int) + 1
-        axes = [
-            np.linspace(lower, upper, count)
-            for lower, upper, count in zip(box.lower, box.upper, counts, strict=True)
-        ]
+        axes = map(np.linspace, lower, upper, counts)
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         largest_move = TUNING.max_move * spacing / separation.scale[0]  # [m]
         points, clear = _moved_away(
@@ -164,28 +165,6 @@ def _offsets(spacing: float, clearance: float) -> Array:
     """Return the offsets (2 reach + 1,) of points along an axis up to a clearance, or the next."""
     reach = math.ceil(clearance / spacing) if spacing > 0.0 else 0
     return np.asarray(np.arange(-reach, reach + 1) * spacing, dtype=np.float64)
-
-
-class Box(NamedTuple):
-    """A box along the axes."""
-
-    lower: Array
-    """(3,) [m], lower corner."""
-
-    upper: Array
-    """(3,) [m], upper corner."""
-
-
-def _box(task: SeparationTask) -> Box:
-    """Return the box around starts and goals, within the arena."""
-    arena = task.requirements.arena
-    ends = np.vstack([task.start, task.goal])
-    margin = TUNING.margin / task.requirements.separation.scale
-    lower = np.min(ends, axis=0) - margin
-    upper = np.max(ends, axis=0) + margin
-    if arena is None:
-        return Box(lower, upper)
-    return Box(np.maximum(lower, arena.lower), np.minimum(upper, arena.upper))
 
 
 def _moved_away(
@@ -221,19 +200,16 @@ class Reservations:
 
     def add(self, path: Indices) -> None:
         """Reserve the points around a path (times, 3) of indices."""
+        reach = np.array(self.close.shape) // 2
         new_times = max(len(path) - len(self.taken), 0)
         self.taken += [self.taken[-1].copy() for _ in range(new_times)]
         for time, taken in enumerate(self.taken):
-            self._occupy(taken, path[min(time, len(path) - 1)])
-
-    def _occupy(self, taken: Mask, point: Indices) -> None:
-        """Add the points around a point (3,) to a mask (x, y, z)."""
-        reach = np.array(self.close.shape) // 2
-        lower = np.maximum(point - reach, 0)
-        upper = np.minimum(point + reach + 1, taken.shape)
-        on_lattice = tuple(map(slice, lower, upper))
-        in_neighbourhood = tuple(map(slice, lower - point + reach, upper - point + reach))
-        taken[on_lattice] |= self.close[in_neighbourhood]
+            point = path[min(time, len(path) - 1)]
+            lower = np.maximum(point - reach, 0)
+            upper = np.minimum(point + reach + 1, taken.shape)
+            on_lattice = tuple(map(slice, lower, upper))
+            in_neighbourhood = tuple(map(slice, lower - point + reach, upper - point + reach))
+            taken[on_lattice] |= self.close[in_neighbourhood]
 
     def free(self, time: int) -> Mask:
         """Return the points (x, y, z) that are clear and not taken at a time."""
@@ -273,13 +249,10 @@ def prioritized(task: SeparationTask) -> Iterator[Schedule]:
         paths = _paths(lattice, ends, order, clearance, TUNING.max_steps_ratio * longest)
         if paths is not None:
             times = max(map(len, paths))
-            points = np.stack([lattice.along(_waiting_at_goal(path, times)) for path in paths])
-            yield Schedule(points, times / longest)
-
-
-def _waiting_at_goal(path: Indices, times: int) -> Indices:
-    """Return the path (times, 3) that stays at its last point after a shorter path."""
-    return np.pad(path, ((0, times - len(path)), (0, 0)), mode="edge")
+            until_last = (
+                np.pad(path, ((0, times - len(path)), (0, 0)), mode="edge") for path in paths
+            )
+            yield Schedule(np.stack([*map(lattice.along, until_last)]), times / longest)
 
 
 def _paths(

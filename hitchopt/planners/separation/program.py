@@ -159,7 +159,9 @@ def build_program(
         upper = np.minimum(upper, np.maximum((arena.upper - inner) / trust, 0.0))
     rows.add_bounds(np.arange(inner.size), lower.ravel(), upper.ravel())
     rows.add_bounds(inner.size + np.arange(slacks), 0.0, np.inf)
-    _add_limits(rows, setting, coefficients, duration, inner.size)
+    for order, cap in enumerate(setting.caps, 1):  # slacks are fractions of the duration
+        matrix = setting.grid.rates[order - 1] / duration**order
+        _add_limit(rows, setting, matrix, matrix @ coefficients, cap, -float(order), inner.size)
     _add_tethers(rows, setting, inner, inner.size + n)
     _add_planes(rows, setting, planes, inner.size + n + tethers)
     hessian, gradient = _objective(setting, coefficients)
@@ -238,18 +240,6 @@ def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> Non
     rows.extend(top + every, slack + every // k, 1.0)
 
 
-def _add_limits(
-    rows: Rows, setting: Setting, coefficients: Array, duration: float, slack: int
-) -> None:
-    """Limit the first three derivatives, and their changes normal to them to a share of the limit.
-
-    Slacks are fractions of the duration.
-    """
-    for order, cap in enumerate(setting.caps, 1):
-        matrix = setting.grid.rates[order - 1] / duration**order
-        _add_limit(rows, setting, matrix, matrix @ coefficients, cap, -float(order), slack)
-
-
 def _add_limit(
     rows: Rows,
     setting: Setting,
@@ -260,6 +250,8 @@ def _add_limit(
     slack: int,
 ) -> None:
     """Limit derivatives (N, k, 3), the ``matrix`` of coefficients, to ``cap`` (N,).
+
+    Changes normal to them are limited to a share of the limit.
 
     The factor of the slack is the change of a derivative, over its limit, per fraction of duration.
     """

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from hitchopt.hitch import GRAVITY, Swarm
-from hitchopt.hitch.requirements import Limits
 from hitchopt.hitch.series import JET, chained
 from hitchopt.planners.separation.task import Setting
 from hitchopt.planners.timing.clock import even_clock, jerk_limited
@@ -29,7 +28,11 @@ def retimed(setting: Setting, curves: PiecewisePolynomial) -> PiecewisePolynomia
     TimingError: no timing was found.
     """
     team = Swarm(setting.task.drones)
-    limits = _clocked_limits(setting)
+    _, acceleration, jerk = np.min(setting.caps, axis=1)
+    capped = with_fields(
+        setting.task.requirements.limits, acceleration=float(acceleration), jerk=float(jerk)
+    )
+    limits = capped.of_clocks(GRAVITY)
     breaks = curves.breaks / curves.duration
     path = PiecewisePolynomial(breaks, curves.coefficients)
 
@@ -42,11 +45,3 @@ def retimed(setting: Setting, curves: PiecewisePolynomial) -> PiecewisePolynomia
     progress = clock.jets()
     jets = path.jet(progress[:, 0].clip(0.0, 1.0), JET)
     return PiecewisePolynomial.through_jets(clock.breaks, chained(jets, progress[:, None, None]))
-
-
-def _clocked_limits(setting: Setting) -> Limits:
-    """Return the limits of all drones' clock."""
-    _, acceleration, jerk = np.min(setting.caps, axis=1)
-    limits = setting.task.requirements.limits
-    capped = with_fields(limits, acceleration=float(acceleration), jerk=float(jerk))
-    return capped.of_clocks(GRAVITY)

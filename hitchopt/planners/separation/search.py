@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -184,15 +183,23 @@ class CurveSearch:
 
     def run(self, report: Progress, effort: Effort) -> CurveBounds:
         """Return the best curves of all rounds."""
-        task = self.setting.task
-        for round_ in range(self.tuning.max_programs):
-            if self.best.clear and task.drones >= self.tuning.large_crowd:
+        setting, tuning = self.setting, self.tuning
+        drones = setting.task.drones
+        for round_ in range(tuning.max_programs):
+            if self.best.clear and drones >= tuning.large_crowd:
                 break
-            effort.spend(task.drones * self.setting.grid.pieces)
-            moved = self._program_curves(round_)
+            effort.spend(drones * setting.grid.pieces)
+            planes, moving = self._planes()
+            self.required_sides = planes.sides[planes.sides[:, 2] >= 0]  # between drones
+            duration = self._program_duration(round_)  # may reset the idle rounds
+            damping = tuning.damping * tuning.damping_factor**self.idle
+            current = self.current.coefficients
+            moved = moved_curves(
+                setting, current, duration, planes, moving, damping, tuning.max_iterations
+            )
             if moved is None:
                 break
-            self.current = evaluate(self.setting, moved)
+            self.current = evaluate(setting, moved)
             duration, closest = self.current.duration, self.current.closest
             report(f"round {round_ + 1}: {duration:.3g} s, separation {closest:.3f}")
             self._compare()
@@ -200,19 +207,6 @@ class CurveSearch:
             if self._ends:
                 break
         return self.best
-
-    def _program_curves(self, round_: int) -> Array | None:
-        """Return the curves (N, count, 3) [m] of the next program; None without a solution."""
-        tuning = self.tuning
-        planes, moving = self._planes()
-        between_drones = planes.sides[:, 2] >= 0
-        self.required_sides = planes.sides[between_drones]
-        duration = self._program_duration(round_)
-        damping = tuning.damping * tuning.damping_factor**self.idle
-        coefficients = self.current.coefficients
-        return moved_curves(
-            self.setting, coefficients, duration, planes, moving, damping, tuning.max_iterations
-        )
 
     def _program_duration(self, round_: int) -> float:
         """Return the duration [s] at which the next program applies the limits.
@@ -299,13 +293,5 @@ class CurveSearch:
             for prism in task.requirements.keep_out
         ]
         widened = [part.with_margin(self.prism_margin) for part in planes_to_prisms]
-        return _concatenated([planes, *widened]), moving
-
-
-def _concatenated(parts: Sequence[Planes]) -> Planes:
-    """Return all planes of the parts, in their order."""
-    return Planes(
-        sides=np.concatenate([part.sides for part in parts]),
-        normals=np.concatenate([part.normals for part in parts]),
-        gaps=np.concatenate([part.gaps for part in parts]),
-    )
+        fields = zip(planes, *widened, strict=True)
+        return Planes(*map(np.concatenate, fields)), moving

@@ -67,7 +67,12 @@ class SeparatedCurves:
         """
         report = progress or (lambda _: None)
         task = self.task
-        _check_ends(task)
+        violations = [
+            *_violations_at_rest(task, task.start, "at the start (t = 0)"),
+            *_violations_at_rest(task, task.goal, "at the goals (the plan's end)"),
+        ]
+        if violations:
+            raise InfeasibleError(violations)
         bound = self.setting.bound
         if task.duration is not None and task.duration < bound:
             raise InfeasibleError([_too_short(task, bound, "no drone can be as fast")])
@@ -206,17 +211,7 @@ END_REMEDY = "move the named drones, or relax the limit"
 """Suggested change for starts and goals that violate a limit."""
 
 
-def _check_ends(task: SeparationTask) -> None:
-    """Raise InfeasibleError if starts or goals are too close, outside the arena or in a prism."""
-    violations = [
-        *_end_violations(task, task.start, "at the start (t = 0)"),
-        *_end_violations(task, task.goal, "at the goals (the plan's end)"),
-    ]
-    if violations:
-        raise InfeasibleError(violations)
-
-
-def _end_violations(task: SeparationTask, points: Array, when: str) -> list[Violation]:
+def _violations_at_rest(task: SeparationTask, points: Array, when: str) -> list[Violation]:
     """Return the violations of drones at rest at points (N, 3) [m]."""
     at_rest = PiecewisePolynomial.constant([0.0, 1.0], points)
     checks = checks_of(task, at_rest)

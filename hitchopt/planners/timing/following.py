@@ -85,7 +85,13 @@ def distances_from(path: Path, motion: Motion, progress: PiecewisePolynomial) ->
     ends = np.maximum(apart[:, 1:], apart[:, :-1])
     spans_of_time = motion.vertices.durations / SPANS
     bulges = spans_of_time**2 / 8.0 * _largest_second_rates(motion.vertices)
-    path_bulges = np.diff(s) ** 2 / 8.0 * _path_rates(path.vertices, s)[:, None]
+    # Largest second derivatives of the path on the range of each row of s
+    path_rates = np.append(_largest_second_rates(path.vertices), 0.0)
+    first, _ = locate(path.vertices.breaks, np.min(s, axis=1))
+    last, _ = locate(path.vertices.breaks, np.max(s, axis=1))
+    ranges = np.stack([first, last + 1], axis=1)
+    of_ranges = np.maximum.reduceat(path_rates, ranges.ravel())[::2]
+    path_bulges = np.diff(s) ** 2 / 8.0 * of_ranges[:, None]
     bounds: Array = np.max(ends + path_bulges, axis=1) + bulges
     drone_x = x[::DRONE_STRIDE]
     drone_s = s[:, ::DRONE_STRIDE]
@@ -107,12 +113,3 @@ def _largest_second_rates(part: PiecewisePolynomial) -> Array:
     second = bernstein.differentiate(bernstein.differentiate(part.coefficients))
     rates: Array = np.max(column_lengths(second), axis=(1, 2)) / part.durations**2
     return rates
-
-
-def _path_rates(part: PiecewisePolynomial, s: Array) -> Array:
-    """Return the largest norm of second derivatives on the range of each row of s (rows, m)."""
-    rates = np.append(_largest_second_rates(part), 0.0)
-    first, _ = locate(part.breaks, np.min(s, axis=1))
-    last, _ = locate(part.breaks, np.max(s, axis=1))
-    ranges = np.stack([first, last + 1], axis=1)
-    return np.asarray(np.maximum.reduceat(rates, ranges.ravel())[::2])

@@ -236,45 +236,26 @@ def hover_violation(
     thrust_ratios, tilt_ratios = rest_ratios(team, limits, loads)
     tilts = np.full(team.drones, np.degrees(limits.tilt))
     kinds = (
-        HoverLimit("thrust", "N", team.max_thrust, thrust_ratios, remedies[0]),
-        HoverLimit("tilt", "deg", tilts, tilt_ratios, remedies[1]),
+        ("thrust", "N", team.max_thrust, thrust_ratios, remedies[0]),
+        ("tilt", "deg", tilts, tilt_ratios, remedies[1]),
     )
-    for kind in kinds:
-        sample, drone = divmod(int(np.argmax(kind.ratios)), team.drones)
-        ratio = float(kind.ratios[sample, drone])
+    for check, unit, limits_of_drones, ratios, remedy in kinds:
+        sample, drone = divmod(int(np.argmax(ratios)), team.drones)
+        ratio = float(ratios[sample, drone])
         if ratio >= LIMIT_SHARE:
-            limit = float(kind.limits[drone])
+            limit = float(limits_of_drones[drone])
             reserved = f"{when[sample]}, {1.0 - LIMIT_SHARE:.1%} of it reserved for motion"
             return Violation(
-                kind.check,
+                check,
                 ratio * limit,
                 LIMIT_SHARE * limit,
                 "max",
-                kind.unit,
+                unit,
                 (team.drone_names[drone],),
                 reserved,
-                kind.remedy,
+                remedy,
             )
     return None
-
-
-class HoverLimit(NamedTuple):
-    """A limit of drones at rest."""
-
-    check: str
-    """Name of the check."""
-
-    unit: str
-    """Unit of the limits."""
-
-    limits: Array
-    """(2n,), of every drone [unit]."""
-
-    ratios: Array
-    """(J, 2n), of thrusts or tilts at rest over the limits."""
-
-    remedy: str
-    """Suggested change."""
 
 
 def spare_accelerations(team: Team, limits: Limits, loads: Array) -> Array:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -120,19 +119,6 @@ def jerk_peaks(motion: Motion, limits: Limits) -> Array:
     return np.concatenate(peaks) / (FINAL_SHARE * limits.jerk)
 
 
-class RateBound(NamedTuple):
-    """A limit of a time derivative of points."""
-
-    points: PiecewisePolynomial
-    """(k, 3) [m]"""
-
-    order: int
-    """Order of the derivative."""
-
-    limit: float
-    """Limit of its norm."""
-
-
 def _rate_stretch(motion: Motion) -> float:
     """Return the stretch in time with which speeds, accelerations and jerks keep their limits.
 
@@ -140,10 +126,10 @@ def _rate_stretch(motion: Motion) -> float:
     """
     limits = motion.requirements.limits
     bounds = (
-        RateBound(motion.inner_ends.reshaped(-1, 3), 1, limits.vertex_speed),
-        RateBound(motion.drones, 1, limits.speed),
-        RateBound(motion.drones, 2, limits.acceleration),
-        RateBound(motion.drones, 3, limits.jerk),
+        (motion.inner_ends.reshaped(-1, 3), 1, limits.vertex_speed),
+        (motion.drones, 1, limits.speed),
+        (motion.drones, 2, limits.acceleration),
+        (motion.drones, 3, limits.jerk),
     )
     factor = 1e-12  # of motions at rest
     for points, order, limit in bounds:
