@@ -15,7 +15,6 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.along import past_obstacles, plan_along
 from hitchopt.planners.candidates import Candidate, Effort, first_feasible
 from hitchopt.planners.compensation import compensated
-from hitchopt.planners.morph.legs import legs_clear, with_slides
 from hitchopt.planners.morph.morph import load_violation, shape_violation
 from hitchopt.planners.path import Path
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
@@ -51,8 +50,8 @@ class OptimisedRoute:
     own: StepPlan | None = None
     """Certified plan along this path, if there is one."""
 
-    allow_slides: bool = False
-    """Whether legs that lead and lag are also tried."""
+    refines: bool = False
+    """Whether route and clock are then refined together."""
 
     cost: CostFunction | None = None
     """Minimised together with the duration."""
@@ -92,30 +91,20 @@ class OptimisedRoute:
             phases = (self.phase.retimed(0.0, self.duration),)
             plan = require_certified(replace(plan, motion=slower.replaced(phases=phases)))
         remark = ""
-        if plan.path is not self.straight:
-            guess = fastest.name
-            remark = f"on an optimised route, first guess {guess}" if guess else "legs lead and lag"
+        if fastest.name:
+            remark = f"on an optimised route, first guess {fastest.name}"
             if self.cost is None:
                 is_straight_feasible = any(not route.name for route in routes.accepted)
                 remark += f"; {FASTER if is_straight_feasible else DIRECT_INFEASIBLE}"
-        if (self.allow_slides or cost is not None) and self.duration is None:
+        if (self.refines or cost is not None) and self.duration is None:
             plan, gain = refined_plan(task, plan, self.phase, cost)
             remark = "; ".join(filter(None, [remark, gain]))
         return plan.with_remark(remark) if remark else plan
 
     def _certified_motion(self, path: Path) -> Motion | None:
-        """Return a certified motion along a path, if possible with legs that lead and lag."""
-        requirements = self.task.requirements
-        climbing = self._climbing(path)
-        candidates = list[Candidate[Motion]]()
-        if self.allow_slides:
-            candidates += [
-                Candidate("route with slides", partial(self._certified_along, variant))
-                for variant in with_slides(climbing, requirements.limits)
-                if legs_clear(variant, requirements)
-            ]
-        candidates.append(Candidate("route", partial(self._certified_along, climbing)))
-        return first_feasible(candidates, None)
+        """Return a certified motion along a path, or None."""
+        certified = partial(self._certified_along, self._climbing(path))
+        return first_feasible([Candidate("route", certified)], None)
 
     def _climbing(self, path: Path) -> Path:
         """Return a path of the search, which is horizontal, with the climb to the end."""

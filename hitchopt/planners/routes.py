@@ -91,8 +91,8 @@ class RouteSearch:
     replaces_slow: bool = False
     """True to replace an own route that takes much longer than its bound."""
 
-    allow_slides: bool = False
-    """True if legs lead and lag, so that cables slide through their clasps."""
+    refines: bool = False
+    """True to refine route and clock together."""
 
     cost: CostFunction | None = None
     """Custom cost; None for the time alone."""
@@ -108,7 +108,7 @@ class RouteSearch:
         breaks a limit at rest.
         """
         task = self.task
-        for_time = self.allow_slides or self.phase.tension is not None
+        for_time = self.refines or self.phase.tension is not None
         is_requested = (
             task.optimiser
             and (self.cost is not None or (for_time and self.duration is None))
@@ -160,7 +160,7 @@ class RouteSearch:
             duration=self.duration,
             straight=straight,
             own=own,
-            allow_slides=self.allow_slides,
+            refines=self.refines,
             cost=self.cost,
         ).plan()
 

@@ -216,7 +216,7 @@ class Morph(ShapeStep):
             super().search(task, end),
             phase=replace(self.phase(task), tension=self.tension),
             replaces_slow=True,
-            allow_slides=self.optimize,
+            refines=self.optimize,
             cost=self.cost,
         )
 

@@ -1,4 +1,4 @@
-"""Leg laws along a path that keep distances, or reduce the motion of drones at its ends."""
+"""Leg laws along a path that keep distances."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.hitch.requirements import Limits, Requirements
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
-from hitchopt.planners.path import LegLaw, Path, Shapes, drones_along, shapes_along
-from hitchopt.planners.timing.profile import demands_along, flight_estimate, flight_estimates
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.planners.path import LegLaw, Path, Shapes, shapes_along
+from hitchopt.planners.timing.profile import flight_estimates
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
@@ -221,59 +221,3 @@ def worst_point(path: Path, requirements: Requirements) -> float:
         for j in range(len(s))
     ]
     return float(s[int(np.argmin(np.minimum(shortest, margins)))])
-
-
-DEGREE = 3
-"""Degree of slides in s."""
-
-SHARES = (1.0, 0.75, 0.5)
-"""Candidate shares of the slide that minimises the drones' motion at the ends, since it costs speed
-between."""
-
-MAX_DURATION_RATIO = 0.995
-"""Largest estimated duration of a path with slides over that of the original path."""
-
-
-def with_slides(path: Path, limits: Limits) -> Iterator[Path]:
-    """Yield a path with the same vertices and a shorter estimated duration, if there is one.
-
-    Speed limits bound vertices, while acceleration limits bound drones too. If cables slide while
-    their vertices speed up, the drones lag for a while and vertices reach full speed earlier. The
-    slide is a cubic of s that is zero at both ends; its slopes there minimise the motion of the two
-    drones of each cable. Distances and duration are not verified.
-    """
-    if path.legs.length.pieces > 1:
-        return
-    slopes = _slopes(path, limits)
-    candidates = [_with_slide(path, share * slopes) for share in SHARES]
-    estimates = flight_estimates(candidates, limits)
-    shortest = min(estimates)
-    if shortest < MAX_DURATION_RATIO * flight_estimate(path, limits):
-        yield candidates[estimates.index(shortest)]
-
-
-def _slopes(path: Path, limits: Limits) -> Array:
-    """Return the slides' slopes (2, n) [m] at s = 0 and 1 that minimise the drones' derivatives.
-
-    The derivative of a drone by s is linear in that of its leg, along the leg.
-    """
-    robots = path.team.robots
-    original = demands_along(path, limits).drones[[0, -1], ..., 1].reshape(2, robots, 2, -1)
-    sliding = _with_slide(path, np.ones((2, robots)))
-    slid = drones_along(sliding, np.array([0.0, 1.0])).positions[..., 1]
-    along = slid.reshape(2, robots, 2, -1) - original
-    squares = np.sum(along**2, axis=(2, 3))
-    products = np.sum(original * along, axis=(2, 3))
-    return np.asarray(-products / np.where(squares > 0.0, squares, np.inf))
-
-
-def _with_slide(path: Path, slopes: Array) -> Path:
-    """Return the path with a slide of its legs, with slopes (2, n) [m] at the ends."""
-    law = path.legs.length.coefficients[0]
-    slide = np.zeros((path.team.robots, DEGREE + 1))
-    slide[:, 1] = slopes[0] / DEGREE
-    slide[:, -2] = -slopes[1] / DEGREE
-    order = max(DEGREE, bernstein.degree(law))
-    length = bernstein.elevate(law, order) + bernstein.elevate(slide, order)
-    legs = LegLaw(PiecewisePolynomial(np.array([0.0, 1.0]), length[None]), path.legs.share)
-    return replace(path, legs=legs)
