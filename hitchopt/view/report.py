@@ -22,7 +22,6 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InputError, Progress
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.loads import stated_tensions
-from hitchopt.motion.motion import CableState
 from hitchopt.storage.files import digest
 from hitchopt.values import Array
 from hitchopt.view import style
@@ -174,7 +173,6 @@ def _scene_data(scene: Scene) -> dict[str, Any]:
         "phases": [
             {
                 **{name: getattr(phase, name) for name in ("name", "start", "end", "remark")},
-                "state": "" if phase.state is CableState.NONE else str(phase.state),
                 "hooked": phase.state in HOOKED_STATES,
             }
             for phase in flight.phases

@@ -1,5 +1,6 @@
 // Plots over time with limits, the certificate's worst values, and a cursor at the scene's time.
-const SVG = "http://www.w3.org/2000/svg", HEIGHT = 76, LEFT = 40, RIGHT = 78, TOP = 18, BOTTOM = 5, AXIS = 14;
+// Lengths are those of text of 13 pixels; larger pages have larger text.
+const SVG = "http://www.w3.org/2000/svg", TEXT = 13, HEIGHT = 76, LEFT = 40, RIGHT = 78, TOP = 18, BOTTOM = 5, AXIS = 14;
 
 class Plots {
   constructor(data, place, seek) {
@@ -11,7 +12,10 @@ class Plots {
   x(time) { return LEFT + (this.width - LEFT - RIGHT) * time / (this.data.duration || 1); }
 
   draw() {
-    this.width = this.place.clientWidth || 800;
+    this.scale = parseFloat(getComputedStyle(this.place).fontSize) / TEXT;
+    this.width = (this.place.clientWidth || 800) / this.scale;
+    // The strip of phases and the slider have the plots' axis of time.
+    for (const [name, size] of [["--left", LEFT], ["--right", RIGHT]]) document.documentElement.style.setProperty(name, `${size * this.scale}px`);
     this.place.replaceChildren();
     this.cursors = this.data.plots.map((plot, i) => this.plot(plot, i === this.data.plots.length - 1));
     this.at(this.time ?? 0);
@@ -19,7 +23,9 @@ class Plots {
 
   plot({ label, t, curves, limits, worst, top, sense }, last) {
     const svg = document.createElementNS(SVG, "svg"), y = (value) => HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * Math.min(value, top) / top;
-    svg.style.height = `${HEIGHT + (last ? AXIS : 0)}px`;
+    const height = HEIGHT + (last ? AXIS : 0);
+    svg.setAttribute("viewBox", `0 0 ${this.width} ${height}`);
+    svg.style.height = `${height * this.scale}px`;
     const node = (kind, attributes, text) => {
       const element = document.createElementNS(SVG, kind);
       for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
@@ -65,7 +71,7 @@ class Plots {
       write(`worst ${significant(worst.value)}`, worst.value, "");
     }
     const seek = (event) => {
-      const x = event.clientX - svg.getBoundingClientRect().left;
+      const x = (event.clientX - svg.getBoundingClientRect().left) / this.scale;
       if (event.buttons) this.seek(Math.min(1, Math.max(0, (x - LEFT) / (right - LEFT))) * this.data.duration);
     };
     for (const kind of ["pointerdown", "pointermove"]) svg.addEventListener(kind, seek);

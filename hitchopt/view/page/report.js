@@ -57,7 +57,7 @@ class Page {
     this.strips = [];
     this.phases = this.data.phases.map((phase, i) => {
       const seek = () => this.seek(phase.start);
-      const row = addRow(body, [[phase.name], [phase.state], [`${phase.start.toFixed(2)} – ${phase.end.toFixed(2)} s`, "n"]], seek);
+      const row = addRow(body, [[phase.name], [`${phase.start.toFixed(2)} – ${phase.end.toFixed(2)} s`, "n"]], seek);
       if (phase.remark) row.cells[0].append(element("div", phase.remark, "remark"));
       const block = Object.assign(element("button", phase.name), { title: `${phase.name}: ${phase.start.toFixed(2)} – ${phase.end.toFixed(2)} s` });
       block.style.left = `${100 * phase.start / this.data.duration}%`;
@@ -88,10 +88,14 @@ class Page {
     this.checks = [];
     const add = (i, title) => {
       const check = this.data.checks[i];
-      const unit = ["1", ""].includes(check.unit) ? "" : ` ${check.unit}`, sign = check.sense === "min" ? "≥" : "≤";
+      const unit = ["1", "", "ratio", "number"].includes(check.unit) ? "" : ` ${check.unit}`, sign = check.sense === "min" ? "≥" : "≤";
       const limit = check.limit === null ? "–" : `${sign} ${significant(check.limit)}`, where = check.where.slice(0, 3).map(unbroken).join(", ") + (check.where.length > 3 ? " …" : "");
       const row = addRow(body, [[title], [significant(check.worst) + unit, "n"], [limit, "n"], [where], [check.holds ? "✓" : "NO", check.holds ? "yes" : "no"]], () => this.showCheck(i));
       row.dataset.check = check.name;
+      if (check.limit > 0) {
+        row.cells[1].classList.add("used");
+        row.cells[1].style.setProperty("--share", `${100 * Math.min(1, check.sense === "min" ? check.limit / check.worst : check.worst / check.limit)}%`);
+      }
       this.checks[i] = row;
     };
     for (const [heading, names] of Object.entries(this.data.groups)) {
@@ -164,7 +168,7 @@ class Page {
     this.phases.forEach((row, i) => row.classList.toggle("now", i === now));
     this.strips.forEach((block, i) => block.classList.toggle("now", i === now));
     byId("scrub").value = this.time;
-    byId("clock").textContent = `${this.time.toFixed(2)} / ${duration.toFixed(2)} s · ${phases[now]?.name ?? ""}`;
+    byId("clock").textContent = `${phases[now]?.name ?? ""} · ${this.time.toFixed(2)} / ${duration.toFixed(2)} s`;
     this.needle.style.left = `${100 * this.time / (duration || 1)}%`;
     this.plots.at(this.time);
     this.stage.show();

@@ -316,16 +316,16 @@ class Stage {
 
   // Shows the labels that are switched on or highlighted; of overlapping labels, the first.
   updateLabels() {
-    const few = this.labels.length <= 120, placed = [];
+    const few = this.labels.length <= 120, placed = [], em = parseFloat(getComputedStyle(this.place).fontSize);
     const isHighlighted = ({ drone }) => this.highlight.drones.includes(drone);
     for (const label of [...this.labels.filter(isHighlighted), ...this.labels.filter((other) => !isHighlighted(other))]) {
       const { node, array, at, drone } = label;
       node.hidden = !(isHighlighted(label) || (this.on.names && few && (drone >= 0 || this.hooked)));
       if (node.hidden) continue;
       const { x, y, behind } = this.project(array, at);
-      node.hidden = behind || placed.some(([u, v]) => Math.abs(u - x) < 22 && Math.abs(v - y) < 12);
+      node.hidden = behind || placed.some(([u, v]) => Math.abs(u - x) < 1.7 * em && Math.abs(v - y) < 0.9 * em);
       if (!node.hidden) placed.push([x, y]);
-      node.style.transform = `translate(${x + 8}px, ${y - 18}px)`;
+      node.style.transform = `translate(${x + 0.6 * em}px, ${y - 1.4 * em}px)`;
     }
   }
 }
