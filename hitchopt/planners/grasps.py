@@ -19,7 +19,7 @@ from hitchopt.checks.registry import distances_of, names_of
 from hitchopt.errors import InfeasibleError, Violation, rounded_up, violations_at
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.holding import Capacity, Grip, grip_capacity
+from hitchopt.hitch.holding import Capacity, grip_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.objects import Rim, Section, SolidObject
@@ -349,9 +349,8 @@ class HoldJudge:
         team, body = self.team, self.planner.body
         tension = self.planner.state.tension
         if isinstance(hold, GripHold):
-            cable, pull = float(np.min(team.cable_length)), float(np.min(tension))
-            grip = Grip.of(body.section, hold.polygon, cable, pull, team.friction)
-            return grip_capacity(grip, team.quadrotor[0], body.friction, GRIP_LIMIT).mass
+            kind = team.quadrotor[0]
+            return grip_capacity(hold.grip(tension), kind, body.friction, GRIP_LIMIT).mass
         if not isinstance(hold, RestHold):
             return 0.0
 

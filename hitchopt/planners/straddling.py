@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
+from hitchopt.checks.grips import GRIP_LIMIT
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import rotated, turn
+from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.candidates import Candidate, error_of, first_certified
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import untying_tensions
 from hitchopt.planners.carrying.polygons import grip_clasps
@@ -27,7 +33,15 @@ NO_TURN = math.radians(2.0)
 """[rad] Angle up to which hanging cables need not turn about an object."""
 
 
-def tied_around(task: StepTask, name: str, height: float, tying: Array, tension: Array) -> StepPlan:
+def tied_around(
+    task: StepTask,
+    name: str,
+    height: float,
+    tying: Array,
+    tension: Array,
+    *,
+    lifts: bool,
+) -> StepPlan:
     """Return the plan that ties two cables around an object, and draws them taut.
 
     Parameters
@@ -36,6 +50,7 @@ def tied_around(task: StepTask, name: str, height: float, tying: Array, tension:
     height: of the clasps above its base [m].
     tying: tensions (n,) [N] while cables are tied.
     tension: tensions (n,) [N] to which they are drawn.
+    lifts: whether they lift it then, for which a grip that is too weak is refused.
     """
     requirements = task.requirements
     team = task.before.team
@@ -48,11 +63,38 @@ def tied_around(task: StepTask, name: str, height: float, tying: Array, tension:
         return find_straddle(name, hold, tying, requirements, task.index, drones)
 
     ways = grip_clasps(name, body, team, requirements)
-    grips = (Candidate("grip", partial(around, clasps)) for clasps in ways)
+    strongest = next(ways)
+    grips = (Candidate("grip", partial(around, clasps)) for clasps in chain([strongest], ways))
     planner = first_certified(grips, task.effort, task.progress)
+    if lifts:
+        _check_grip(name, planner.grip, tension, partial(around, strongest))
     approach = _approach_motions(task, planner.hanging.drones, body)
     motion = concatenated([*approach, *planner.stages(), *planner.draw_grip(tension)])
     return task.plan_with_object(motion, replace(planner.state, tension=tension), body.place)
+
+
+def _check_grip(
+    name: str, hold: GripHold, tension: Array, strongest: Callable[[], StraddlePlanner]
+) -> None:
+    """Raise InfeasibleError if a grip with tensions (n,) [N] does not bear an object at rest.
+
+    Its note says why it is not the ``strongest`` one.
+    """
+    body = hold.body
+    slip_load = float(hold.grip(tension).slip_load(body.friction))
+    ratio = slip_load / (body.mass * GRAVITY)
+    if ratio >= GRIP_LIMIT:
+        return
+    remedy = RULE_OF["grip"].remedy
+    violation = Violation(
+        "grip", ratio, GRIP_LIMIT, "min", "ratio", (name,), "at rest", remedy, object=name
+    )
+    untied_for = error_of(strongest)
+    note = ""
+    if untied_for is not None:
+        reason = replace(untied_for.violations[0], remedy="")
+        note = f"the strongest grip cannot be tied: {str(reason).rstrip('; ')}"
+    raise InfeasibleError([violation], note)
 
 
 def untied(task: StepTask) -> StepPlan:

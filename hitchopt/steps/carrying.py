@@ -358,7 +358,7 @@ class TransportObject(TensionStep):
         leaving = [Loosen(self.object).plan, Leave(self.object).plan]
         if task.before.team.robots == 2:
             tension = self.tension_for(task.before.team)
-            taking = partial(Tie(self.object).plan_to_grip, tension=tension)
+            taking = partial(Tie(self.object).plan_to_grip, tension=tension, lifts=True)
             leaving = [Untie().plan]
         else:
             around = enclosing_planners(task, self.object)

@@ -89,17 +89,17 @@ class Tie(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to tie the cables around the object."""
-        return self.plan_to_grip(task, task.before.team.tension)
+        return self.plan_to_grip(task, task.before.team.tension, lifts=False)
 
-    def plan_to_grip(self, task: StepTask, tension: Array) -> StepPlan:
-        """Plan how cables grip the object with tensions (n,) [N]."""
+    def plan_to_grip(self, task: StepTask, tension: Array, *, lifts: bool) -> StepPlan:
+        """Plan how cables grip the object with tensions (n,) [N], and whether to lift it then."""
         team = task.before.team
         body = task.requirements.objects[self.around]
         check_rollable(f"step {task.index} ({self.name})", team)
         self._check_friction(body)
         height = self._checked_height(task, body)
         check_pull(float(np.max(tension)), team, task.requirements)
-        plan = tied_around(task, self.around, height, self.tension_for(team), tension)
+        plan = tied_around(task, self.around, height, self.tension_for(team), tension, lifts=lifts)
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
     def _check_friction(self, body: SolidObject) -> None:

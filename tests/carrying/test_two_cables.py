@@ -622,6 +622,17 @@ def test_narrow_outlines_are_refused_before_anything_is_planned() -> None:
         carried({**prism(4, 0.1), "outline": box})
 
 
+def test_an_object_too_heavy_for_the_grip_that_can_be_tied_is_refused_with_why() -> None:
+    """The strongest one holds it at its ends, but cables along its sides are too close there."""
+    crate = [[-0.2, -0.09], [-0.2, 0.09], [0.2, 0.09], [0.2, -0.09]]
+    body = {**prism(4, 0.1), "outline": crate, "mass": 0.1}
+    words = (
+        r"grip: 0\.7\d+ is below the limit of 1\.5 at drum at rest.*\n?.*strongest grip cannot be "
+    )
+    with pytest.raises(ho.InfeasibleError, match=words + r"tied: cable_clearance: 0\.17\d+ m is"):
+        carried(body)
+
+
 def test_cables_fly_as_high_as_bounds_on_their_displacements_require() -> None:
     """Bounds of ``tracking_radius`` are larger than displacements at samples, by a millimetre."""
     stated = problem([{"tie": {"around": "drum", "at": 0.35}}], {**DRUM, "mass": 0.008}, **SMALL)

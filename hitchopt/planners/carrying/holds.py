@@ -34,6 +34,7 @@ from hitchopt.hitch.forces import (
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.holding import (
     Bends,
+    Grip,
     PlannedClasps,
     Wraps,
     edge_ratios,
@@ -484,6 +485,13 @@ class GripHold(HoldingHitch):
         foot = -float(section.clearance(section.centroid)[0])
         steepest = min(body.friction, foot / (self.height - body.lower))
         return body.mass * GRAVITY * steepest / largest_pull
+
+    def grip(self, tension: Array) -> Grip:
+        """Return the grip with tensions (n,) [N] of cables of one length, without a load."""
+        team = self.team
+        cable_length = float(np.min(team.cable_length))
+        weakest = float(np.min(tension))
+        return Grip.of(self.body.section, self.polygon, cable_length, weakest, team.friction)
 
     @property
     def opened(self) -> GripHold:
