@@ -23,7 +23,7 @@ from hitchopt.values import Array
 from hitchopt.verify import verify
 from hitchopt.verify.reading import read
 from hitchopt.verify.request import contradicts
-from hitchopt.verify.statics import rests
+from hitchopt.verify.statics import Rest, rests
 
 DRAWS = 200
 
@@ -319,6 +319,21 @@ def test_both_bounds_agree_for_every_loop(
     for rest, (_, other) in zip(own, rests(plans[0]), strict=True):
         # Pulls of a plan differ from those of statics by terms of the sag, which move soft loops
         assert other.radii(errors, tube) == pytest.approx(rest.radii, abs=1e-4)
+
+
+def test_drones_are_held_by_as_much_more_as_legs_pull_by_friction(tmp_path: Path) -> None:
+    """The verifier follows a rest from its planned pulls, of which friction takes the rest."""
+    hitch = ho.Hitch.spread(ho.Team(3, [2.4, 2.3, 2.5]), [[0, 0.6], [0.6, -0.4], [-0.5, -0.5]])
+    motion = rest_motion(hitch, Requirements(), 1.0, Phase("hold", 0, 0.0, 1.0))
+    write_plan(tmp_path / "plan.npz", Flight.of(motion))
+    (plan, *_), _ = read(tmp_path / "plan.npz")
+    tensions = motion.team.tension
+    pulls = np.repeat(tensions, 2) * [1.1, 0.9, 1.05, 1.0, 0.97, 1.2]
+    plain, leaning = (
+        Rest(plan, hitch.drones, hitch.vertices, tensions, each) for each in (None, pulls)
+    )
+    more = length((leaning.held - plain.held)[:6])
+    assert more == pytest.approx(np.abs(pulls - np.repeat(tensions, 2)))
 
 
 def test_a_plan_that_leaves_out_the_stated_limit_or_errors_contradicts_its_request() -> None:

@@ -58,7 +58,7 @@ def test_errors_of_ends_move_no_point_of_a_cable_farther_than_told(
         points = []
         for x, g in zip((ends, erring), sigma, strict=True):
             chord = x[:, 1] - x[:, 0]
-            depth = catenary.catenary_depth(length, chord[:, 2], g, mu)
+            depth = catenary.catenary_depth(np.full(m, length), chord[:, 2], g, mu)
             points.append(x[:, 0] + 0.5 * (1.0 + mu) * chord - depth[:, None] * [0.0, 0.0, 1.0])
         off = (points[1] - points[0]) / [1.0, 1.0, ratio]
         farthest = np.maximum(farthest, np.linalg.norm(off, axis=-1))
