@@ -228,6 +228,21 @@ def test_refined_time_steps_do_not_jerk_ropes() -> None:
     assert max(peaks[620:]) < 1.5 * taut
 
 
+def test_cables_become_shorter_near_their_drones_alone() -> None:
+    """Shorter links along the sides of an object would catch at its corners."""
+    world = hanging_cables()
+    before = world.model.flexedge_length0.copy()
+    by = np.array([0.02, -0.01])
+    world.shorten(by)
+    shorter = before - world.model.flexedge_length0
+    for cable, length in enumerate(by):
+        of_cable = shorter[world.edge_cables == cable]
+        assert np.sum(of_cable) == pytest.approx(length)
+        np.testing.assert_array_equal(of_cable, of_cable[::-1])
+        third = len(of_cable) // 3
+        np.testing.assert_array_equal(of_cable[third:-third], 0.0)
+
+
 @pytest.mark.parametrize(
     ("pull", "shift", "steps", "words", "where"),
     [

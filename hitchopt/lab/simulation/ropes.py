@@ -320,7 +320,7 @@ def clasped_shares(task: TeamTask) -> Array:
 
     It is all of it, except in plans that bend cables around an object: before they clasp these are
     taut without bends, and would sag by centimetres more on their way to the object. The bends
-    appear as pairs roll. Ropes keep the length: shorter ones catch as pairs roll back.
+    appear, and vanish, as pairs roll.
     """
     phases = [] if task.motion is None else task.motion.phases
     if all(phase.state is not CableState.BENT for phase in phases):
@@ -332,7 +332,7 @@ def clasped_shares(task: TeamTask) -> Array:
         rolls = phase.state is CableState.ROLLING
         times += [phase.start, phase.end]
         shares += [before[k], after[k]] if rolls else [clasped[k], clasped[k]]
-    return np.maximum.accumulate(np.interp(task.states.t, times, shares))
+    return np.interp(task.states.t, times, shares)
 
 
 def bends_about(task: TeamTask, diameter: float, segment: float, cable: int) -> Array:
