@@ -9,22 +9,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 from scipy.ndimage import gaussian_filter1d
 
 from hitchopt.errors import InputError, optional_module
 from hitchopt.values import Array
-from hitchopt.view.painter import Camera, Painter, draw_painting
+from hitchopt.view.painter import Camera, Painter, draw_ground, draw_painting
 from hitchopt.view.scene import Scene
-from hitchopt.view.style import atomic_write, draw_lines, facts, own_style
+from hitchopt.view.style import atomic_write, facts, own_style
 
 FRAME_SIZE = (12.8, 7.2)  # Size of a frame [inch]
 RESOLUTIONS = {".mp4": 100, ".gif": 50}  # Resolutions of frames [1/inch]
 # Largest frame rates [Hz]; the resolution of a gif's clock is 10 ms
 RATES = {".mp4": 30.0, ".gif": 100.0 / 6.0}
 MAX_GIF_FRAMES = 240  # Largest number of a gif's frames, of some 20 kB each
-TEXT_SIZE = 13.0  # Least size of titles [pixels]
+TEXT_SIZE = 16.0  # Size of titles [points], at least MIN_TEXT_SIZE [pixels]
+MIN_TEXT_SIZE = 13.0
+HEADER_COLOUR = (1.0, 1.0, 1.0, 0.85)  # Colour behind titles
 AZIMUTH = -115.0  # Azimuth of the camera [deg]
 ELEVATION = 32.0  # Elevation of the camera [deg]
 MARGIN = 0.2  # Margin around drones and cables [m]
@@ -81,17 +84,21 @@ def frames(scene: Scene, times: Array, title: str, resolution: int) -> Iterator[
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
     view = _View.following(scene, camera)
-    draw_lines(axes, camera.project(_ground(scene))[..., :2], "0.9", 0.7, 1)
+    draw_ground(axes, scene, camera)
     size = max(1.0, MIN_DRONE_SIZE * view.height / scene.flight.requirements.separation.radius)
     painter = Painter(scene, camera, max(scene.radius, MIN_CABLE_WIDTH * view.height), size)
     shapes: Any = draw_painting(axes, painter.paint(scene.at(0.0)))
     words: dict[str, Any] = {
-        "fontsize": max(13.0, 72.0 * TEXT_SIZE / resolution),
+        "fontsize": max(TEXT_SIZE, 72.0 * MIN_TEXT_SIZE / resolution),
         "parse_math": False,
         "zorder": 3,
     }
-    figure.text(0.02, 0.945, f"{title}\n{facts(scene.flight)}".strip(), va="center", **words)
-    clock = figure.text(0.98, 0.945, "", ha="right", va="center", **words)
+    header = Rectangle(
+        (0.0, 1.0 - HEADER_SHARE), 1.0, HEADER_SHARE, color=HEADER_COLOUR, zorder=2.5
+    )
+    figure.add_artist(header)
+    figure.text(0.02, 0.955, f"{title}\n{facts(scene.flight)}".strip(), va="center", **words)
+    clock = figure.text(0.98, 0.955, "", ha="right", va="center", **words)
     phases = scene.flight.phases
     for time in times:
         left, bottom = view.corner(time)
@@ -133,16 +140,3 @@ class _View(NamedTuple):
         """Return the lower left corner [m] at a time [s]."""
         x, y = (float(np.interp(time, self.times, values)) for values in self.middles.T)
         return x - 0.5 * self.width, y - 0.5 * self.height * (1.0 - HEADER_SHARE)
-
-
-def _ground(scene: Scene) -> Array:
-    """Return the lines (m, 2, 3) [m] of a grid on the ground that extends beyond all paths."""
-    lower, upper = np.min(scene.drones, axis=(0, 1))[:2], np.max(scene.drones, axis=(0, 1))[:2]
-    reach = float(np.max(np.ptp(scene.drones, axis=(0, 1))))
-    floor = scene.flight.requirements.floor
-    step = 10.0 ** np.round(np.log10(max(reach, 1.0) / 6.0))
-    near = (lower - 3.0 * reach) // step * step
-    far = (upper + 3.0 * reach) // step * step + step
-    across, up = (np.arange(near[i], far[i] + step / 2, step) for i in range(2))
-    lines = [[[x, near[1], floor], [x, far[1], floor]] for x in across]
-    return np.array([*lines, *([[near[0], y, floor], [far[0], y, floor]] for y in up)])

@@ -31,6 +31,7 @@ from hitchopt.view.scene import SEGMENTS, Moment, Scene, TeamLabel, normals, sce
 CASING_WIDTH = 1.8  # Width of a cable with its pale edges, in half widths of the cable
 OVERLAP = 0.5  # Overlap of a cable's segments to avoid gaps in bends, in half widths of the cable
 SHADOW = "#e4e7ea"  # Colour of shadows
+GRID_COLOUR = "0.93"  # Colour of the grid on the ground
 MIN_ROTOR_CORNERS = 4  # Minimum number of a rotor's corners
 SUBDIVISIONS = 3  # Number of subdivisions of an object's faces, for sorting by distance
 LIGHT = unit(np.array([-0.35, -0.55, 1.0]))  # Direction to the light
@@ -292,6 +293,7 @@ def draw_storyboard(
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
         axes: Axes = figure.add_subplot(grid[k // columns, k % columns])
         lines = np.moveaxis(paths[reached[max(k - 1, 0)] : reached[k] + 1], 1, 0)
+        draw_ground(axes, scene, camera)
         style.draw_lines(axes, lines, scene.appearance.drone_colours, 0.6, 1, alpha=PATH_OPACITY)
         draw_painting(axes, painter.paint(scene.at(float(scene.t[i]))))
         axes.set(xticks=[], yticks=[], xmargin=0.0, ymargin=0.0)
@@ -303,9 +305,12 @@ def draw_storyboard(
         write_labels(axes, scene.appearance.labels, places, size * radius)
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
     length = 10.0 ** math.floor(math.log10(float(half[0])))
-    words: Any = {"loc": "lower right", "frameon": False, "borderpad": 0.7}
+    words: Any = {"loc": "lower right", "borderpad": 0.3}
     words |= {"prop": {"size": "x-small"}, "size_vertical": 0.01 * float(half[1]), "color": "0.3"}
-    axes.add_artist(AnchoredSizeBar(axes.transData, length, f"{length:g} m", **words))
+    scale_bar = AnchoredSizeBar(axes.transData, length, f"{length:g} m", **words)
+    scale_bar.set_zorder(8)
+    scale_bar.patch.set(alpha=0.85, edgecolor="none")
+    axes.add_artist(scale_bar)
 
 
 def _panel_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
@@ -336,11 +341,25 @@ def corner_step(robots: int) -> int:
     return next(step for limit, step in CORNER_STEPS.items() if robots <= limit)
 
 
+def draw_ground(axes: Axes, scene: Scene, camera: Camera) -> None:
+    """Draw a grid on the ground that extends beyond all paths, against which motion is seen."""
+    lower, upper = np.min(scene.drones, axis=(0, 1))[:2], np.max(scene.drones, axis=(0, 1))[:2]
+    reach = float(np.max(np.ptp(scene.drones, axis=(0, 1))))
+    floor = scene.flight.requirements.floor
+    step = 10.0 ** np.round(np.log10(max(reach, 1.0) / 6.0))
+    near = (lower - 3.0 * reach) // step * step
+    far = (upper + 3.0 * reach) // step * step + step
+    across, up = (np.arange(near[i], far[i] + step / 2, step) for i in range(2))
+    lines = [[[x, near[1], floor], [x, far[1], floor]] for x in across]
+    lines += [[[near[0], y, floor], [far[0], y, floor]] for y in up]
+    style.draw_lines(axes, camera.project(np.array(lines))[..., :2], GRID_COLOUR, 0.7, 0)
+
+
 def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
     """Draw a painting; edges in the faces' colours close seams."""
     polygons: Any = painting.polygons
     colours: Any = painting.colours
-    look: Any = {"facecolors": colours, "edgecolors": "face", "linewidths": 0.2, "zorder": 2}
+    look: Any = {"facecolors": colours, "edgecolors": "face", "linewidths": 0.6, "zorder": 2}
     shapes = PolyCollection(polygons, **look)
     axes.add_collection(shapes, autolim=False)
     return shapes

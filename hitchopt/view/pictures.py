@@ -29,6 +29,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.separation import Closeness
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
+from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Phase
 from hitchopt.motion.states import States, flight_states_at
@@ -48,6 +49,8 @@ LEGEND_GAP = 0.17  # Distance of the legend from a plan below panels, as a fract
 PLAN_GAP = 0.1  # Distance of the legend from a plan elsewhere, likewise
 GROUND = 0.1  # Depth below the ground that is drawn from the side [m]
 VIEW_GAP = 0.22  # Distance of the views from above and from the side, over their mean width
+NEAR_WALLS = 1.6  # Largest width of a drawn arena of cables, over that of what flies
+ROUND_STEPS = (1, 2, 5, 10)  # Steps of ticks
 LABEL_AT = -0.1  # Position of the plots' labels, as a fraction of their width
 CARD_RESOLUTION = 65  # Resolution of a notebook's picture [dots per inch]: 850 pixels wide
 POINTS = 150_000  # Number of sampled drone positions: more is finer than pixels
@@ -78,6 +81,7 @@ PAGE_LEGEND = 1.5  # Height of phases' names and legend together on a page [inch
 # Maximum number of vertices or single drones with names, since more would hide the drawing
 MAX_NAMED = 30
 NAME_DISTANCE = 18.0  # Distance of a vertex from its name [points]
+END_NAME_DISTANCE = 1.9  # Distance of the names of a chain's ends, over that of others
 PAGE_DISTANCE = 9.0  # Distance of a vertex from its name on a page [points]
 PAGE_HEIGHT = 190.0  # Height of axes [points] below which names are close
 LINE_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
@@ -496,6 +500,7 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
         shift = math.copysign(max(LINE_HEIGHT - abs(gap), 0.0), direction)
         _label(axes, f"worst {value:.4g}", value, INK, shift)
     axes.set(ylabel=panel.label, xlim=(t[0], t[-1]), ylim=(0.0, top))
+    axes.locator_params(steps=ROUND_STEPS)
     axes.grid(axis="y", color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
 
@@ -562,7 +567,7 @@ def draw_plan_view(axes: Axes, flight: Flight, gap: float = PLAN_GAP) -> None:
         if not cables:  # else the painting shows it
             axes.add_artist(Polygon(outline, fc=solid.colours[0], ec="0.4", zorder=0))
             handles.append(Patch(fc=solid.colours[0], ec="0.4", label=solid.name))
-    if (arena := requirements.arena) is not None and not cables:
+    if (arena := requirements.arena) is not None and (not cables or _is_near(arena, extent)):
         extent = np.vstack([extent, arena.lower[:2], arena.upper[:2]])
         x, y = arena.lower[:2]
         width, depth = arena.upper[:2] - arena.lower[:2]
@@ -571,6 +576,12 @@ def draw_plan_view(axes: Axes, flight: Flight, gap: float = PLAN_GAP) -> None:
     _show_extent(axes, extent, requirements.separation.radius)
     _write_names(axes, flight, flown[-1])
     style.legend_below(axes, handles, gap, 3)
+
+
+def _is_near(arena: Arena, points: Array) -> bool:
+    """Return whether walls are near points (m, 2) [m]."""
+    size = arena.upper[:2] - arena.lower[:2]
+    return bool(np.all(size < NEAR_WALLS * np.ptp(points, axis=0)))
 
 
 def draw_side_view(axes: Axes, flight: Flight) -> None:
@@ -627,6 +638,7 @@ def _show_extent(axes: Axes, points: Array, radius: float) -> None:
     margin = radius + 0.05 * float(np.max(upper - lower))
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.0)
+    axes.locator_params(steps=ROUND_STEPS)
     axes.update_datalim([lower - margin, upper + margin])
     axes.autoscale_view()
 
@@ -659,5 +671,7 @@ def _write_names(axes: Axes, flight: Flight, ends: Array) -> None:
     places = motion.vertices.at(motion.vertices.breaks[-1])[: len(names), :2]
     is_page = _height(axes) < PAGE_HEIGHT
     offsets = (PAGE_DISTANCE if is_page else NAME_DISTANCE) * unit(np.mean(places, axis=0) - places)
+    if not team.layout.closed:  # drones are at the ends, and their cables inward
+        offsets[[0, -1]] *= -END_NAME_DISTANCE
     for name, place, offset in zip(names, places, offsets, strict=True):
         write(axes, name, place, offset, **look)

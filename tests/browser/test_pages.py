@@ -257,6 +257,22 @@ class TestReport:
         assert times[first // drones] == pytest.approx(time - 5.0, abs=0.1)
         assert times[(first + count) // drones] == pytest.approx(time, abs=0.1)
 
+    def test_phases_slider_and_plots_have_one_axis_of_time_and_bars_show_used_limits(
+        self, report: Any
+    ) -> None:
+        strip = report.locator("#strip").bounding_box()
+        slider = report.locator("#scrub").bounding_box()
+        plot = report.locator("#plots rect.axis").first.bounding_box()
+        for name in ("x", "width"):
+            assert strip[name] == pytest.approx(plot[name], abs=1.5)
+        assert slider["x"] + 8 == pytest.approx(strip["x"], abs=1.5)  # a thumb's half width
+        speed = tied_plan().certificate["speed"]
+        share = report.evaluate(
+            "getComputedStyle(document.querySelector(\"#checks [data-check='speed'] .used\"))"
+            ".getPropertyValue('--share')"
+        )
+        assert float(share.strip("%")) == pytest.approx(100 * speed.worst / speed.number)
+
     def test_panels_leave_the_scene_its_space_and_fold_on_small_pages(self, report: Any) -> None:
         def width() -> float:
             return float(report.locator("#stage").bounding_box()["width"])

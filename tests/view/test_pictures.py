@@ -402,6 +402,27 @@ def test_single_drones_are_shown_with_paths_ends_prisms_and_arena(n: int) -> Non
     assert len(figure.axes) == (3 if n == 1 else 4)  # a single drone has no separation
 
 
+@pytest.mark.parametrize(("walls", "is_drawn"), [(1.9, True), (6.0, False)])
+def test_near_walls_are_drawn_around_cables(walls: float, is_drawn: bool) -> None:
+    arena = ho.Arena([2.0 - walls, -1.0 - walls, 0.0], [2.0 + walls, -1.0 + walls, 4.0])
+    motion = make_motion(3)
+    motion = replace(motion, requirements=replace(motion.requirements, arena=arena))
+    axes = new_figure((5.0, 5.0)).add_subplot()
+    draw_plan_view(axes, ho.Flight.of(motion))
+    drawn = [patch.get_width() for patch in axes.patches if isinstance(patch, Rectangle)]
+    assert drawn == pytest.approx([2.0 * walls] * is_drawn)
+
+
+def test_names_of_a_chain_s_ends_are_on_no_drone() -> None:
+    motion = chain(2)
+    axes = new_figure((5.0, 5.0)).add_subplot()
+    draw_plan_view(axes, ho.Flight.of(motion))
+    axes.get_figure().draw_without_rendering()  # type: ignore[union-attr]
+    drones = axes.transData.transform(motion.drones.at(motion.duration)[:, :2])
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert not any(box.contains(*drone) for box in boxes for drone in drones)
+
+
 def test_the_closest_pairs_are_drawn_above_their_bounds() -> None:
     motion = swarm(4)
     closest = closeness(ho.Flight.of(motion), 6)

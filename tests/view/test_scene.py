@@ -34,9 +34,12 @@ from hitchopt.view.film import frames, save_film
 from hitchopt.view.painter import (
     AZIMUTH,
     ELEVATION,
+    GRID_COLOUR,
     Camera,
     Painter,
     choose_shots,
+    draw_ground,
+    draw_painting,
     draw_plan_storyboard,
 )
 from hitchopt.view.pictures import draw_summary
@@ -269,6 +272,26 @@ def test_objects_are_painted_where_they_stand() -> None:
     body = polygons[np.all(np.abs(np.mean(polygons, axis=1) - middle) < 0.5, axis=1)]
     for end in (np.min, np.max):
         np.testing.assert_allclose(end(body, axis=(0, 1)), end(expected, axis=0)[:2], atol=1e-9)
+
+
+def test_faces_of_objects_have_no_seams_and_stand_on_a_grid() -> None:
+    scene, camera = scene_of(ho.Flight.of(with_box()), 0), Camera.at_angles(AZIMUTH, 90.0)
+    box = scene.flight.requirements.objects["box"]
+    (place,) = camera.project(in_world(box.pose, np.array([[0.0, 0.0, box.upper]])))[:, :2]
+    axes = new_figure((3.0, 3.0), None).add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    draw_ground(axes, scene, camera)
+    draw_painting(axes, Painter(scene, camera).paint(scene.at(0.0)))
+    pictures = []
+    for reach in (0.08, 1.5):  # on the face, and around the box
+        axes.set(
+            xlim=place[0] + reach * np.array([-1, 1]), ylim=place[1] + reach * np.array([-1, 1])
+        )
+        canvas: Any = axes.figure.canvas
+        canvas.draw()
+        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].reshape(-1, 3).copy())
+    assert np.max(np.ptp(pictures[0], axis=0)) <= 2
+    assert np.any(np.all(pictures[1] == round(255 * float(GRID_COLOUR)), axis=1))
 
 
 def test_a_film_that_cannot_be_made_is_refused(
