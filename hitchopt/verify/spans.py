@@ -137,7 +137,7 @@ class Spans:
         return [x[:2] for x in self.ends(k)]
 
     def sheet(self, k: Index) -> list[Line]:
-        """Return corners of vertical triangles that contain hanging cables."""
+        """Return both ends of hanging cables, and places below which no part of them is."""
         q, r = self.ends(k)
         return [q, r, (q + r - UP * self.plan.length[k]) * 0.5]
 

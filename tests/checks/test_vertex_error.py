@@ -1,5 +1,6 @@
 """``vertex_error``: never beaten by hitches that settle with smaller errors, and laws."""
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -266,6 +267,18 @@ def test_hitches_that_hold_something_and_single_drones_have_no_error() -> None:
     for motion in (none, held):
         assert not errors_at_rests(motion)
         assert not error_in_words(motion)
+
+
+def test_words_add_up_to_the_largest_error() -> None:
+    motion = with_errors(plan(*PLANS[0]).motion, WITH_FRICTION)
+    rests = errors_at_rests(motion)
+    words = error_in_words(motion)
+    worst = max(rests, key=lambda rest: float(np.max(rest.radii)))
+    vertex = int(np.argmax(worst.radii))
+    total, *parts = (float(x) for x in re.findall(r"([0-9.e-]+) cm", words))
+    assert total == pytest.approx(100.0 * worst.radii[vertex], rel=0.01)
+    assert parts[:-1] == pytest.approx(100.0 * worst.parts[vertex], rel=0.06)
+    assert sum(parts) == pytest.approx(total, rel=0.06)
 
 
 def test_a_limit_is_checked_and_proven_independently(tmp_path: Path) -> None:
