@@ -22,6 +22,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -38,9 +40,10 @@ from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch.hysteresis import held_vertices
 from hitchopt.hitch.requirements import Arena, Requirements
 from hitchopt.hitch.rest_errors import planned_rest
+from hitchopt.hitch.team import Team
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import TAUT_RATIO, states_at
-from hitchopt.values import Array, true_runs
+from hitchopt.values import Array, ByValue, true_runs
 
 FRICTIONS = 9
 """Number of frictions of the range, from the least to the largest."""
@@ -73,6 +76,12 @@ MAX_SAMPLES = 24
 WAY_SAMPLES = 200
 """Number of samples of the ways of a phase."""
 
+DECIMALS = 9
+"""Decimals of planned states [m], [N]: the same motion at another time differs by rounding only."""
+
+MAX_COURSES = 64
+"""Number of courses whose vertices are stored."""
+
 HITCHED = frozenset({CableState.HITCHED})
 
 TINY = 1e-12
@@ -92,17 +101,53 @@ class Held(NamedTuple):
     """(S, F, points, 3) [m], infinitely far without a balance."""
 
 
+@dataclass(frozen=True, eq=False)
+class Course(ByValue):
+    """Consecutive planned states of a hitch, and the frictions for which vertices are followed."""
+
+    team: Team
+    """The team."""
+
+    positions: Array
+    """(S, 2n, 3) [m], of drones."""
+
+    vertices: Array
+    """(S, points, 3) [m]"""
+
+    tensions: Array
+    """(S, n) [N]"""
+
+    cable_forces: Array
+    """(S, 2n, 3) [N], on drones."""
+
+    frictions: Array
+    """(F,) coefficients of friction."""
+
+    shares: Array
+    """(F,) shares of it that clasps hold at the first state, as in ``held_vertices``."""
+
+
 def held(motion: Motion, t: Array, frictions: Array, shares: Array) -> Held:
     """Return where frictions (F,) hold the vertices of a hitch at consecutive times t (S,) [s].
 
     At the first of these clasps hold ``shares`` (F,) of their friction, as in ``held_vertices``.
     """
-    team, states = motion.team, states_at(motion, t)
+    states = states_at(motion, t)
+    planned = (states.positions, states.vertices, states.tensions, states.cable_forces)
+    rounded = [np.round(values, DECIMALS) + 0.0 for values in planned]  # no negative zeros
+    positions, vertices, tensions, cable_forces = rounded
+    course = Course(motion.team, positions, vertices, tensions, cable_forces, frictions, shares)
+    return Held(t, states.vertices, _held_on(course))
+
+
+@lru_cache(maxsize=MAX_COURSES)
+def _held_on(course: Course) -> Array:
+    """Return ``Held.vertices`` of a course, computed once for steps, candidates and whole plans."""
     rests = planned_rest(
-        team, states.positions, states.vertices, states.tensions, states.cable_forces
+        course.team, course.positions, course.vertices, course.tensions, course.cable_forces
     )
-    vertices = held_vertices(team, rests, frictions, shares)
-    return Held(t, states.vertices, np.where(np.isfinite(vertices), vertices, np.inf))
+    vertices = held_vertices(course.team, rests, course.frictions, course.shares)
+    return np.where(np.isfinite(vertices), vertices, np.inf)
 
 
 def sample_times(motion: Motion, first: int, last: int) -> Array:

@@ -22,9 +22,10 @@ balance, but there is no energy.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +34,6 @@ from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array
 
 AXIAL_STIFFNESS = 1e4
 """[N] EA of a braided polyethylene line of 1 mm. Without stretch, tensions of rigid drones would be
@@ -264,21 +262,28 @@ class HitchEnergy:
     def tensions(self, positions: Array) -> Array:
         """Return T (S, n) [N] for which cables have their lengths.
 
-        Nodes are at positions (S, nodes, 3) [m].
-        Arcs are convex in T: Newton's iteration from below does not overshoot.
+        Nodes are at positions (S, nodes, 3) [m]. Arcs are convex in T: after the first step,
+        Newton's iteration is below the solution and does not overshoot.
         """
         spans = self.spans(positions[:, self.nodes])
         chord_sum = np.sum(spans.lengths, axis=-1)
         missing = chord_sum - self.lengths + self.compliance * self.reference
-        bulges = spans.lengths * (spans.chords[..., 0] ** 2 + spans.chords[..., 1] ** 2)
-        T = np.maximum(self.slack_tension, missing / self.compliance)
-        for _ in range(TENSION_ITERATIONS if self.weight else 0):
-            sag, bounded_m = self._sag(T[..., None] + self.weight * spans.heights)
-            excess = missing - self.compliance * T + np.sum(sag * bulges, axis=-1)
-            slope = self.compliance + np.sum(2.0 * sag * bulges / bounded_m, axis=-1)
+        lowest = np.maximum(self.slack_tension, missing / self.compliance)
+        if not self.weight:
+            return np.asarray(lowest)
+        level = spans.chords[..., :2]
+        bulges = self.weight**2 / 24.0 * spans.lengths * np.sum(level * level, axis=-1)
+        by_heights = self.weight * spans.heights
+        slack = self.slack_tension[..., None]
+        T = np.maximum(lowest, self.reference)
+        for _ in range(TENSION_ITERATIONS):
+            m = np.maximum(T[..., None] + by_heights, slack)
+            arcs = bulges / (m * m)
+            excess = missing - self.compliance * T + arcs.sum(axis=-1)
+            slope = self.compliance + 2.0 * (arcs / m).sum(axis=-1)
             previous = T
-            T = np.maximum(self.slack_tension, T + excess / slope)
-            if np.all(np.abs(T - previous) <= TENSION_TOLERANCE * T):
+            T = np.maximum(lowest, T + excess / slope)
+            if (np.abs(T - previous) <= TENSION_TOLERANCE * T).all():
                 break
         return np.asarray(T)
 
@@ -289,9 +294,15 @@ class HitchEnergy:
         energies += np.sum(self.springs(positions).energies, axis=(1, 2))
         return np.asarray(energies - np.einsum("sni,sni->s", self.loads, positions))
 
-    def slopes(self, positions: Array, friction: float | Array = 0.0) -> Array:
-        """Return minus the force on every node (S, nodes, 3) [N], zero for rigid drones."""
-        cables = self.forces(positions[:, self.nodes], self.tensions(positions), friction)
+    def slopes(
+        self, positions: Array, friction: float | Array = 0.0, T: Array | None = None
+    ) -> Array:
+        """Return minus the force on every node (S, nodes, 3) [N], zero for rigid drones.
+
+        T are the ``tensions`` at these positions, if they are known.
+        """
+        T = self.tensions(positions) if T is None else T
+        cables = self.forces(positions[:, self.nodes], T, friction)
         slopes = self.pulls(cables.on_ends)
         slopes[:, : self.drones] += self.springs(positions).slopes
         return np.where(self.free, slopes, 0.0)
@@ -330,14 +341,16 @@ class HitchEnergy:
         np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(on_ends, 0, 2))
         return pulls
 
-    def linear(self, positions: Array, friction: float | Array = 0.0) -> CableSlopes:
+    def linear(
+        self, positions: Array, friction: float | Array = 0.0, T: Array | None = None
+    ) -> CableSlopes:
         """Return derivatives of the cables' forces and tensions.
 
         Nodes are at positions (S, nodes, 3) [m]. They are complex-step derivatives with respect to
-        the 12 coordinates of a cable's nodes, then to T.
+        the 12 coordinates of a cable's nodes, then to T; ``T`` is that of ``slopes``.
         """
         ends = positions[:, self.nodes]
-        T = self.tensions(positions)
+        T = self.tensions(positions) if T is None else T
         variables = CABLE_COORDINATES + 1
         steps = 1j * COMPLEX_STEP * np.eye(variables).reshape(variables, 1, 1, variables)
         end_steps = steps[..., :CABLE_COORDINATES].reshape(variables, 1, 1, 4, 3)
@@ -355,68 +368,58 @@ class HitchEnergy:
 
     def matrix(
         self, positions: Array, force_slopes: Array, damping: Array | float = MIN_DAMPING
-    ) -> csc_array:
-        """Return the block-diagonal Hessian (S N, S N) [N/m] of all samples, N = 3 nodes.
+    ) -> Array:
+        """Return the Hessians (S, N, N) [N/m] of all samples, N = 3 nodes.
 
         Nodes are at positions (S, nodes, 3) [m]; ``force_slopes`` are the ``forces`` of ``linear``;
         ``damping`` (S,) [N/m] is added to the diagonal.
         """
-        from scipy.sparse import coo_array
-
         samples = len(force_slopes)
         size = 3 * len(self.free)
-        first_rows = size * np.arange(samples)[:, None, None]
+        first_entries = size * size * np.arange(samples)[:, None, None, None]
         coordinates = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(-1, CABLE_COORDINATES)
-        cable_rows = coordinates + first_rows
-        rows, columns = np.broadcast_arrays(cable_rows[..., :, None], cable_rows[..., None, :])
-        diagonal = np.zeros((samples, size)) + np.reshape(damping, (-1, 1))
-        diagonal[:, : 3 * self.drones] += self.springs(positions).curvatures.reshape(samples, -1)
-        diagonal_rows = np.arange(samples * size)
-        of_cables = force_slopes[..., :CABLE_COORDINATES].ravel()
-        entries = np.concatenate([of_cables, diagonal.ravel()])
-        all_rows = np.concatenate([rows.ravel(), diagonal_rows])
-        all_columns = np.concatenate([columns.ravel(), diagonal_rows])
-        shape = (samples * size, samples * size)
-        return coo_array((entries, (all_rows, all_columns)), shape=shape).tocsc()
-
-    def solved(self, matrix: csc_array, forces: Array) -> Array:
-        """Return displacements (S, nodes, 3, …) [m] caused by forces of this shape [N]."""
-        from scipy.sparse.linalg import splu
-
-        samples, nodes, axes, *right_sides = forces.shape
-        free = np.flatnonzero(np.tile(self.free.ravel(), samples))
-        displacements = np.zeros((samples * nodes * axes, *right_sides))
-        factors = splu(
-            matrix[free][:, free],
-            # The matrix is nearly symmetric: pivots are taken from the diagonal.
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
+        entries = size * coordinates[:, :, None] + coordinates[:, None, :]
+        of_cables = force_slopes[..., :CABLE_COORDINATES]
+        sums = np.bincount(
+            (first_entries + entries).ravel(), of_cables.ravel(), samples * size * size
         )
-        displacements[free] = factors.solve(forces.reshape(displacements.shape)[free])
+        matrices = np.asarray(sums, dtype=np.float64).reshape(samples, size, size)
+        springs = self.springs(positions).curvatures.reshape(samples, -1)
+        diagonals = np.einsum("sii->si", matrices)
+        diagonals += np.reshape(damping, (-1, 1))
+        diagonals[:, : 3 * self.drones] += springs
+        return matrices
+
+    def solved(self, matrices: Array, forces: Array) -> Array:
+        """Return displacements (S, nodes, 3, …) [m] caused by forces of this shape [N]."""
+        samples, nodes, axes, *right_sides = forces.shape
+        free = np.flatnonzero(self.free)
+        displacements = np.zeros((samples, nodes * axes, math.prod(right_sides)))
+        on_free = forces.reshape(displacements.shape)[:, free]
+        displacements[:, free] = np.linalg.solve(matrices[:, free[:, None], free], on_free)
         return displacements.reshape(forces.shape)
 
     def steps(
-        self, positions: Array, damping: Array | float, max_length: float, friction: float | Array
-    ) -> tuple[Array, Array]:
-        """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, and the slopes."""
-        slopes = self.slopes(positions, friction)
-        return self.steps_down(positions, slopes, damping, max_length, friction), slopes
-
-    def steps_down(
         self,
         positions: Array,
-        slopes: Array,
         damping: Array | float,
         max_length: float,
         friction: float | Array,
-    ) -> Array:
-        """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, from slopes."""
-        matrix = self.matrix(positions, self.linear(positions, friction).forces, damping)
-        steps = self.solved(matrix, -slopes)
+        tolerance: float = 0.0,
+    ) -> tuple[Array, Array]:
+        """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, and the slopes.
+
+        If no slope exceeds the ``tolerance`` [N], no node moves.
+        """
+        T = self.tensions(positions)
+        slopes = self.slopes(positions, friction, T)
+        if np.max(np.abs(slopes)) <= tolerance:
+            return np.zeros_like(positions), slopes
+        matrices = self.matrix(positions, self.linear(positions, friction, T).forces, damping)
+        steps = self.solved(matrices, -slopes)
         longest = np.max(np.linalg.norm(steps, axis=-1), axis=1)
         shares = np.minimum(1.0, max_length / np.maximum(longest, 1e-300))
-        return np.asarray(steps * shares[:, None, None])
+        return np.asarray(steps * shares[:, None, None]), slopes
 
     def at_rest(self) -> Array:
         """Return the nodes (S, nodes, 3) [m] of least energy, by a damped Newton method.

@@ -50,6 +50,9 @@ MAX_STEP = 0.1
 MAX_RESIDUAL = 1e-3
 """[N] Largest force residual of a balance."""
 
+BALANCED = 0.01 * MAX_RESIDUAL
+"""[N] Largest slope at which Newton steps end."""
+
 DAMPING = 1e-9
 """[N/m] Damping of steps, as clasps of slack cables are free."""
 
@@ -116,10 +119,10 @@ def _leg_lengths(energy: HitchEnergy, nodes: Array) -> Array:
 def _balanced(energy: HitchEnergy, nodes: Array, friction: Array, steps: int) -> Array:
     """Return nodes (F, nodes, 3) [m] after Newton steps to the balance with friction (F, n, 2)."""
     for _ in range(steps):
-        slopes = energy.slopes(nodes, friction)
-        if np.max(np.abs(slopes)) <= 0.01 * MAX_RESIDUAL:
+        moves = energy.steps(nodes, DAMPING, MAX_STEP, friction, BALANCED)[0]
+        if not np.any(moves):
             break
-        nodes = nodes + energy.steps_down(nodes, slopes, DAMPING, MAX_STEP, friction)
+        nodes = nodes + moves
     return nodes
 
 
@@ -167,12 +170,14 @@ def _in_discs(slips: Array, stiffness: Array, parts: Array) -> Array:
     2 clasps, 2 clasps) [m] is by how much parts reduce them.
     """
     rate = 1.0 / np.maximum(np.linalg.norm(stiffness, axis=(1, 2)), 1e-12)[:, None]
+    reduced = rate[..., None] * stiffness
+    steps = rate * slips + np.einsum("fpq,fq->fp", reduced, parts)
     new = parts
     for _ in range(PROJECTIONS):
-        remaining = slips - np.einsum("fpq,fq->fp", stiffness, new - parts)
-        moved = (new + rate * remaining).reshape(len(parts), -1, 2)
-        sizes = np.linalg.norm(moved, axis=-1, keepdims=True)
-        previous, new = new, (moved / np.maximum(sizes, 1.0)).reshape(parts.shape)
-        if np.max(np.abs(new - previous)) <= CONVERGED:
+        moved = new + steps - (reduced @ new[..., None])[..., 0]
+        u, v = moved[:, ::2], moved[:, 1::2]
+        sizes = np.maximum(np.sqrt(u * u + v * v), 1.0)
+        previous, new = new, moved / np.repeat(sizes, 2, axis=-1)
+        if np.abs(new - previous).max() <= CONVERGED:
             break
     return new

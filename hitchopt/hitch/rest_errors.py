@@ -54,7 +54,7 @@ def responses(energy: HitchEnergy, x: Array) -> Array:
     # The adjoint Y = H⁻¹ B, and what of B rigid drones cause directly
     matrix = energy.matrix(x, slopes.forces)
     solution = energy.solved(matrix, by_nodes[None])
-    residual = by_nodes.reshape(-1, outputs) - matrix @ solution.reshape(-1, outputs)
+    residual = by_nodes.reshape(-1, outputs) - matrix[0] @ solution.reshape(-1, outputs)
     adjoint = solution[0].T.swapaxes(1, 2)  # (o, nodes, 3)
     direct = residual.T.reshape(outputs, -1, 3)
 
@@ -292,7 +292,7 @@ def longest_period(team: Team, samples: Mapping[str, Array]) -> float:
     """
     energy = energy_of(team, loops_of(team), samples)
     nodes = energy.at_rest()
-    stiffness = energy.matrix(nodes, energy.linear(nodes).forces).toarray()
+    (stiffness,) = energy.matrix(nodes, energy.linear(nodes).forces)
     masses = np.concatenate([team.mass, np.zeros(len(energy.free) - energy.drones)])
     masses[energy.points[team.layout.clasps]] += team.load
     halves = 0.5 * team.cable_density * energy.spans(nodes[:, energy.nodes]).lengths[0]

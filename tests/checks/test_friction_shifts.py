@@ -5,16 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import hitchopt as ho
 from hitchopt import verify
-from hitchopt.checks.friction_shifts import between, distances_from_ways, held, sample_times
+from hitchopt.checks.friction_shifts import (
+    FRICTION_SHIFT,
+    between,
+    distances_from_ways,
+    held,
+    sample_times,
+)
 from hitchopt.checks.registry import TEAM_REPORTS
-from hitchopt.motion.motion import Motion
+from hitchopt.hitch.hysteresis import held_vertices
+from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 TRIANGLE = ho.ConvexPolygon([[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]])
 OUTWARD = ho.MoveVertex(0, by=np.array([0.05, 0.2]))
@@ -103,6 +112,35 @@ def test_shifts_take_room_from_walls_and_objects() -> None:
 def test_a_shift_without_a_balance_is_infinite_and_others_keep_their_reserve() -> None:
     shifts = between(np.array([[np.inf, np.inf], [1.0, 3.0], [2.0, 2.0]]), (1,))
     np.testing.assert_array_equal(shifts, [[np.inf, np.inf], [1.5, 3.5], [2.0, 2.0]])
+
+
+def test_a_course_is_followed_once_wherever_a_plan_flies_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Steps and whole plans share it."""
+    motion = slid()
+    start = ho.HitchStart(TRIANGLE, 1.0)
+    rest = ho.solve(ho.Problem(motion.team, start, [ho.Hold(np.pi / 3.0)])).motion
+    followed = list[Array]()
+
+    def counted(*arguments: Any) -> Array:
+        followed.append(held_vertices(*arguments))
+        return followed[-1]
+
+    def shift(flown: Motion) -> ho.Check:
+        return ho.certify(flown, reports=(FRICTION_SHIFT,))["friction_shift"]
+
+    alone = shift(motion)
+    monkeypatch.setattr("hitchopt.checks.friction_shifts.held_vertices", counted)
+    joined = shift(concatenated([rest, motion]))
+    assert joined.worst == pytest.approx(alone.worst, rel=1e-12)
+    assert joined.time == pytest.approx(alone.time + rest.duration)
+    slower = shift(motion.slowed(1.1))  # friction does not depend on speeds
+    assert slower.worst == pytest.approx(alone.worst, rel=1e-6)
+    assert followed == []
+    least = with_fields(motion.team, cable_friction=(0.01, 0.1))
+    assert shift(motion.replaced(team=least)).worst < alone.worst
+    assert len(followed) == 2
 
 
 def test_only_over_travels_need_room() -> None:

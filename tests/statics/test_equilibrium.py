@@ -133,7 +133,7 @@ def test_slopes_and_derivatives_are_those_of_the_energy() -> None:
     change = (energy.values(up) - energy.values(down))[0] / (2.0 * h)
     assert np.sum(energy.slopes(x) * direction) == pytest.approx(change, rel=1e-5)
     for friction in (0.0, 0.1):
-        matrix = energy.matrix(x, energy.linear(x, friction).forces)
+        (matrix,) = energy.matrix(x, energy.linear(x, friction).forces)
         change = (energy.slopes(up, friction) - energy.slopes(down, friction)).ravel() / (2.0 * h)
         np.testing.assert_allclose(matrix @ direction.ravel(), change, rtol=1e-5, atol=1e-3)
 
