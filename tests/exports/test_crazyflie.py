@@ -30,7 +30,13 @@ from hitchopt.checks.certifying import certificate_of
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.exporting import Export
-from hitchopt.exports.formats.crazyflie import POLY
+from hitchopt.exports.formats.crazyflie import (
+    BYTES,
+    DEGREE,
+    POLY,
+    CompressedBytes,
+    encode,
+)
 from hitchopt.exports.held_tension import REST_TIME, held_tension
 from hitchopt.exports.lint import lint
 from hitchopt.exports.placing import (
@@ -106,6 +112,17 @@ def test_resting_drones_take_two_rows_and_no_bytes(tmp_path: Path) -> None:
     header, *rows = (tmp_path / "d0.csv").read_text().splitlines()
     assert (header.count(","), len(rows), lint(tmp_path)[0].frame) == (32, 2, "nwu")
     assert part.verdict.duration == pytest.approx(3.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3])
+def test_a_drone_has_memory_for_as_many_bytes_as_are_planned(axes: int) -> None:
+    coefficients = np.zeros((1, 2, 3, DEGREE + 1))
+    coefficients[0, 1, :axes, -1] = 1.0
+    most = CompressedBytes().max_pieces(PiecewisePolynomial([0.0, 1.0], coefficients))
+    points = np.zeros((most + 1, 3, DEGREE + 1), dtype=np.int64)
+    points[:, :axes, 1:] = 1
+    seconds = np.full(most + 1, 1000)
+    assert len(encode(seconds[1:], points[1:], 0.0)) <= BYTES < len(encode(seconds, points, 0.0))
 
 
 def test_plans_that_exceed_memory_are_refused(tmp_path: Path) -> None:
