@@ -1,4 +1,4 @@
-"""The documentation's page of benchmarks: success and solve times, in tables and two figures.
+"""The documentation's page of benchmarks: success and solve times, in tables and a figure.
 
 Usage: python -m benchmarks page [--problems N] [--limit SECONDS] [--again]
 
@@ -32,6 +32,7 @@ from benchmarks.libraries import counts, lines
 from benchmarks.measuring import ROOT, environment, parser, timed
 from benchmarks.rival import Rival, RivalError, RivalFlight
 from hitchopt import verify
+from hitchopt.view.style import COLOURS
 from problems.random_morph import irregular_pairs
 from problems.swarm import square_mission
 
@@ -89,9 +90,6 @@ WIDTH = 5.0
 
 DPI = 160
 """Resolution of figures."""
-
-LABELS = {"solved": "planned and certified", "proven": "also proven by verify"}
-"""Names of shares in figures."""
 
 MAX_RIVAL_ROBOTS = 6
 """Largest number of robots that rivals get: most larger ones reach the limit of time."""
@@ -467,8 +465,6 @@ def page(store: Store, limit: float, machine: str, calls: dict[str, Counter[str]
                 ["family", "planned", "time [s]", "over bound"],
                 family_rows(store),
             ),
-            "![Success rates](families.png)",
-            "",
             *mission_section(store),
             "## What each library does",
             "",
@@ -481,10 +477,11 @@ def page(store: Store, limit: float, machine: str, calls: dict[str, Counter[str]
 
 
 def draw(store: Store) -> None:
-    """Draw both figures."""
+    """Draw the figure of solve times."""
     mpl.use("agg")
     from matplotlib import pyplot as plt
 
+    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=COLOURS)
     middles = np.array([np.mean(sizes) for sizes in SIZES])
     figure, (time_axes, share_axes) = plt.subplots(
         2, 1, figsize=(WIDTH, 5.4), layout="constrained", sharex=True, height_ratios=(3, 2)
@@ -518,22 +515,9 @@ def draw(store: Store) -> None:
     figure.savefig(PAGE / "solve_times.png", dpi=DPI)
     plt.close(figure)
 
-    names = [family for family in SHOWN_FAMILIES if store.of(family)]
-    figure, axes = plt.subplots(figsize=(WIDTH, 0.5 + 0.45 * len(names)), layout="constrained")
-    for shift, label in ((-0.2, "solved"), (0.2, "proven")):
-        groups = [store.of(family) for family in names]
-        shares = [100.0 * np.mean([getattr(each, label) for each in group]) for group in groups]
-        bars = axes.barh(np.arange(len(names)) + shift, shares, height=0.38, label=LABELS[label])
-        axes.bar_label(bars, fmt="%.0f", padding=2)
-    axes.set(yticks=range(len(names)), yticklabels=names, xlabel="problems [%]", xlim=(0.0, 110.0))
-    axes.invert_yaxis()
-    figure.legend(loc="outside upper center", ncols=2)
-    figure.savefig(PAGE / "families.png", dpi=DPI)
-    plt.close(figure)
-
 
 def main() -> None:
-    """Measure what is missing, and write page and figures."""
+    """Measure what is missing, and write page and figure."""
     cli = parser(__doc__, problems=40, limit=10.0)
     cli.add_argument("--again", action="store_true", help="forget results of earlier runs")
     options = cli.parse_args()
