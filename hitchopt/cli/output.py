@@ -31,7 +31,14 @@ ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Python argument in a m
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
 # Control characters except line breaks and tabs, and those that change the direction of text
 CONTROL = re.compile(r"\r(?!\n)|[^\r\n\t\x20-\x7e\xa0-\U0010ffff]|[\u202a-\u202e\u2066-\u2069]")
-RED = re.compile(r"^error:|(?<= )NO$", re.MULTILINE)  # Text that is red on a terminal
+# Styles of text on a terminal
+STYLES: tuple[tuple[re.Pattern[str], dict[str, Any]], ...] = (
+    (re.compile(r"^error:|(?<= )NO$", re.MULTILINE), {"fg": "red", "bold": True}),
+    (re.compile(r"^warning:", re.MULTILINE), {"fg": "yellow", "bold": True}),
+    (re.compile(r"^(certified|proven)(?=[;:])", re.MULTILINE), {"fg": "green", "bold": True}),
+    (re.compile(r"^.+(?=\n.+\n─)", re.MULTILINE), {"bold": True}),  # titles of tables
+    (re.compile(r"^─+$", re.MULTILINE), {"dim": True}),
+)
 
 
 @dataclass
@@ -132,7 +139,9 @@ def echo(text: str, *, err: bool = False) -> None:
     try:
         text = CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
         text = text.encode(encoding, "replace").decode(encoding)
-        click.echo(RED.sub(lambda match: click.style(match[0], fg="red", bold=True), text), err=err)
+        for pattern, style in STYLES:
+            text = pattern.sub(lambda match, style=style: click.style(match[0], **style), text)
+        click.echo(text, err=err)
     except BrokenPipeError:
         # The reader has exited (`| head`); the exit code must not change.
         null = os.open(os.devnull, os.O_WRONLY)

@@ -28,6 +28,7 @@ from .tying import bent_cables, free_cables
 
 GROSS = 10.0  # ratio to a limit from which on curves are no plan at all
 JUMP = 0.01  # [m] largest jump of curves that are a plan
+ROUNDING_ERROR = 1e-9  # largest value that is written as 0
 STATED = "not recomputed"  # rules of the user, whose formulas are not in the file
 NO_LIMIT = "no limit"  # height above z = 0, which is only the ground if there is an arena
 PASSING = {"proven", SAMPLED, NO_LIMIT, STATED}  # verdicts that do not fail
@@ -180,12 +181,17 @@ def with_errors(row: Row, erring: Row) -> Row:
 
 def cells(row: Row) -> tuple[str, ...]:
     """Return cells of a row: check, worst, with errors, limit, unit, place, time and verdict."""
-    worst = "–" if np.isnan(row.worst) else f"{row.worst:.5g}"
-    erring = "" if np.isnan(row.with_errors) else f"{row.with_errors:.5g}"
+    worst = "–" if np.isnan(row.worst) else _significant(row.worst)
+    erring = "" if np.isnan(row.with_errors) else _significant(row.with_errors)
     limit = f"{'≥' if row.sense == 'min' else '≤'} {row.limit:.4g}"
     when = "" if np.isnan(row.time) else f"{row.time:.3f} s"
     unit = "number" if row.unit == "1" else row.unit
     return row.name, worst, erring, limit, unit, row.where, when, row.verdict
+
+
+def _significant(value: float) -> str:
+    """Return four digits of a number; rounding errors are 0."""
+    return f"{value:.4g}" if abs(value) > ROUNDING_ERROR else "0"
 
 
 def verdict(rows: Sequence[Row]) -> str:

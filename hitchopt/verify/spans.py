@@ -34,7 +34,7 @@ PER_FIRST = 30  # more of it for that of its first pass, over whole pieces
 PER_SAMPLE = 16  # effort of a sample, besides that of the values that it reads
 CHUNK = 8192  # samples at once
 DEPTH = 46  # halvings
-SAMPLED = "within, at samples"  # verdict on values that are not bounded between samples
+SAMPLED = "at samples"  # verdict on values that are not bounded between samples
 
 
 class Row(NamedTuple):

@@ -167,5 +167,5 @@ def test_the_verifier_finds_the_same(tmp_path: Path) -> None:
         row, check = rows[name], certificate[name]
         assert row.worst == pytest.approx(check.worst, rel=near)
         assert row.limit == pytest.approx(check.limit, rel=1e-3)
-        assert row.verdict == "within, at samples"
+        assert row.verdict == "at samples"
     assert "only at samples: friction_shift, rest_shift" in verify.verdict(list(rows.values()))

@@ -24,7 +24,7 @@ from hitchopt.checks import CertificateError
 from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import QUANTITIES
 from hitchopt.cli.failures import SafeGroup
-from hitchopt.cli.output import ProgressBar, phase_table, progress_in, say
+from hitchopt.cli.output import ProgressBar, echo, phase_table, progress_in, say
 from hitchopt.cli.planning import MODELINE, PACKAGE, example_files, problem_text
 from hitchopt.drones.quadrotor import MODELS
 from hitchopt.errors import FileError, UnsupportedError, Violation
@@ -610,3 +610,21 @@ def test_a_key_of_a_file_that_is_called_as_an_option_is_placed_in_the_file(tmp_p
     error = refused("solve", file, "-o", tmp_path / "out")
     assert "problem.yaml:1" in error
     assert "--limit" not in error
+
+
+def test_terminals_show_titles_verdicts_and_warnings_by_style(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = "Limits\ncheck  verdict\n──────────────\nlegs   NO\n\nproven: all\nwarning: low"
+    shown = {}
+    for colour in (False, True):
+        with click.Context(click.Command("x"), color=colour):
+            echo(text)
+        shown[colour] = capsys.readouterr().out
+    assert shown[False] == f"{text}\n"
+    assert click.unstyle(shown[True]) == shown[False]
+    styled = re.findall(r"((?:\x1b\[\d+m)+)(.+?)\x1b\[0m", shown[True])
+    assert [words for _, words in styled] == [
+        *("Limits", "─" * 14, "NO", "proven", "warning:"),
+    ]
+    assert len({style for style, _ in styled}) == 5
