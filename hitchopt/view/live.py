@@ -16,6 +16,7 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.errors import optional_module
+from hitchopt.geometry.vectors import unit
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState
 from hitchopt.values import Array
@@ -48,7 +49,8 @@ CURSOR_FRAMES = 6
 FOLLOW_DISTANCE = 4.0  # Distance of a following camera, in radii of the team
 VIEW_DIRECTION = np.array([-0.35, -0.8, 0.5])  # Initial direction of the camera
 MIN_DISTANCE = 1.5  # Minimum distance of the camera [m]
-ASPECT = 0.7  # Width over height of the visible part of a small window
+ASPECT = 1.0  # Width over height of the visible part of a usual window
+FILLED_SHARE = 0.85  # Share of the visible part that drones fill
 
 
 def open_server(host: str = HOST, port: int = PORT) -> Any:
@@ -237,10 +239,12 @@ class LiveView:
         """Place a camera so that it shows all paths in a picture of an aspect ratio."""
         drones = self.live.scene.drones.reshape(-1, 3)
         centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
-        radius = float(np.max(np.linalg.norm(drones - centre, axis=1)))
-        half_angle = np.arctan(np.tan(0.5 * FIELD_OF_VIEW) * aspect)
-        distance = max(radius / np.sin(half_angle), MIN_DISTANCE)
-        position = centre + distance * VIEW_DIRECTION / np.linalg.norm(VIEW_DIRECTION)
+        back = unit(VIEW_DIRECTION)
+        right = unit(np.cross([0.0, 0.0, 1.0], back))
+        seen = (drones - centre) @ np.column_stack([right, np.cross(back, right), back])
+        slope = FILLED_SHARE * np.tan(0.5 * FIELD_OF_VIEW)
+        needed = seen[:, 2] + np.max(np.abs(seen[:, :2]) / [slope * aspect, slope], axis=1)
+        position = centre + max(float(np.max(needed)), MIN_DISTANCE) * back
         camera.position, camera.look_at = tuple(position), tuple(centre)
 
     def _widen_view(self, client: Any) -> None:
