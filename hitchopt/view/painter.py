@@ -32,6 +32,8 @@ CASING_WIDTH = 1.8  # Width of a cable with its pale edges, in half widths of th
 OVERLAP = 0.5  # Overlap of a cable's segments to avoid gaps in bends, in half widths of the cable
 SHADOW = "#e4e7ea"  # Colour of shadows
 GRID_COLOUR = "0.93"  # Colour of the grid on the ground
+GRID_CELLS = 6.0  # Largest number of its cells along the longest path
+GRID_REACH = 4.0  # Reach of paths below which cells are not smaller [m]
 MIN_ROTOR_CORNERS = 4  # Minimum number of a rotor's corners
 SUBDIVISIONS = 3  # Number of subdivisions of an object's faces, for sorting by distance
 LIGHT = unit(np.array([-0.35, -0.55, 1.0]))  # Direction to the light
@@ -346,7 +348,9 @@ def draw_ground(axes: Axes, scene: Scene, camera: Camera) -> None:
     lower, upper = np.min(scene.drones, axis=(0, 1))[:2], np.max(scene.drones, axis=(0, 1))[:2]
     reach = float(np.max(np.ptp(scene.drones, axis=(0, 1))))
     floor = scene.flight.requirements.floor
-    step = 10.0 ** np.round(np.log10(max(reach, 1.0) / 6.0))
+    least = max(reach, GRID_REACH) / GRID_CELLS
+    power = 10.0 ** math.floor(math.log10(least))
+    step = power * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least)
     near = (lower - 3.0 * reach) // step * step
     far = (upper + 3.0 * reach) // step * step + step
     across, up = (np.arange(near[i], far[i] + step / 2, step) for i in range(2))
