@@ -162,7 +162,7 @@ def test_the_certificate_states_what_remains() -> None:
     [
         ({"release": None}, "set team.release: true"),
         ({"quadrotor": (ho.Quadrotor(),) * 3}, "name team.quadrotor.controller or model"),
-        ({"load": np.full(3, 0.01)}, "omit team.load"),
+        ({"load": np.array([0.0, 0.01, 0.0])}, "omit team.load"),
     ],
 )
 def test_what_no_loss_leaves_intact_is_refused_by_key(change: dict[str, Any], words: str) -> None:

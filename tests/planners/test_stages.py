@@ -114,7 +114,8 @@ def test_paths_of_named_drones_have_their_tracking_errors(
 
 @pytest.mark.parametrize(("trim", "is_told"), [(0.04, False), (0.08, True)])
 def test_trims_with_which_drones_swing_are_told(trim: float, is_told: bool) -> None:
-    team = ho.Team(3, 2.4, quadrotor=ho.Quadrotor(trim=(0.0, -trim)))
+    one, others = ho.Quadrotor(trim=(0.0, -trim)), ho.Quadrotor()
+    team = ho.Team(3, 2.4, quadrotor=[others, one, others])
     path = ho.Path.of(team, lambda s: TRIANGLE + [0.3 * quintic(s), 0.0])
     motion = ho.time(path)
     notes = list(tracking_warnings(ho.Flight.of(motion)))
