@@ -273,28 +273,10 @@ def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan
 
 
 def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
-    """Return a plan that continues to the goal, directly or first to its altitude."""
+    """Return a certified plan that continues to the goal, with shape and altitude at once."""
     phase = Phase("morph", task.index, 0.0, 0.0, CIRCLE_REMARK)
-    start = task.within(task.requirements, tied.after)
-
-    def lowered_last() -> StepPlan:
-        """Return the plan that changes the shape, then the altitude."""
-        morph = reshaped(start, goal.at_altitude(start.hitch.altitude), phase)
-        lower = Phase("lower", task.index, 0.0, 0.0, HEIGHT_REMARK)
-        hitch, requirements = morph.after.tied, task.requirements
-        motion = vertical_motion(hitch, goal.altitude, requirements, lower)
-        return StepPlan(concatenated([morph.motion, motion]), replace(morph.after, hitch=goal))
-
-    def whole(planner: Callable[[], StepPlan]) -> StepPlan:
-        """Return the certified plan from the task's start."""
-        plan = planner()
-        return require_certified(replace(plan, motion=concatenated([tied.motion, plan.motion])))
-
-    in_one = partial(reshaped, start, goal, phase)  # shape and altitude simultaneously
-    candidates = [Candidate("morph", partial(whole, in_one))]
-    if abs(goal.altitude - start.hitch.altitude) > ALTITUDE_TOLERANCE:
-        candidates.append(Candidate("morph before lowering", partial(whole, lowered_last)))
-    return first_certified(candidates, task.effort, task.progress)
+    plan = reshaped(task.within(task.requirements, tied.after), goal, phase)
+    return require_certified(replace(plan, motion=concatenated([tied.motion, plan.motion])))
 
 
 def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepPlan:

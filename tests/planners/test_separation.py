@@ -28,7 +28,6 @@ from hitchopt.planners.separation.guesses import (
     stuck_in_prisms,
 )
 from hitchopt.planners.separation.nominal import setting_of
-from hitchopt.planners.separation.one_by_one import order_of
 from hitchopt.planners.separation.program import hull_points, planes_to_prism, solve_program
 from hitchopt.planners.separation.retiming import retimed
 from hitchopt.planners.separation.search import SearchTuning
@@ -418,30 +417,6 @@ def test_a_gap_narrower_than_a_drone_is_named() -> None:
     (violation,) = caught.value.violations
     assert violation.value == pytest.approx(0.1, rel=1e-3)
     assert set(violation.where) == {"d0", "prism 0", "prism 1"}
-
-
-DOOR = (prism(-0.1, (-2.2, -0.2), 0.0, 3.0), prism(-0.1, (0.2, 2.2), 0.0, 3.0))
-
-
-def test_drones_pass_a_door_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those in front go first, and drones at goals leave the door free."""
-    planner = import_module(SeparatedCurves.__module__)
-    guesses = planner._guesses
-
-    def of_single_drones(setting: Any) -> Any:
-        return guesses(setting) if setting.task.drones == 1 else iter(())
-
-    monkeypatch.setattr(planner, "_guesses", of_single_drones)
-    room = Arena([-2.0, -2.0, 0.95], [2.0, 2.0, 1.05])
-    start = [[-1.5, 0.0, 1.0], [-1.0, 0.1, 1.0], [-0.6, 0.0, 1.0]]
-    goal = [[0.6, 0.0, 1.0], [1.0, 0.0, 1.0], [1.5, 0.1, 1.0]]
-    task = task_of(start, goal, arena=room, keep_out=DOOR)
-    assert order_of(task) == [2, 1, 0]
-    found = separate(task)
-    assert_kept(task, found)
-    assert found.remark == "one after the other"
-    given = replace(task, duration=1.5 * found.drones.duration)
-    assert_kept(given, separate(given))
 
 
 def test_a_faster_clock_leads_drones_along_the_same_curves() -> None:

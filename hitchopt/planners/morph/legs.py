@@ -88,16 +88,12 @@ ROLL_RAMPS = (0.5, 0.3, 0.15)
 ROLL_KNOTS = 33
 """Number of knots of the roll along a path."""
 
-MAX_SLIDING = 6
-"""Maximum number of rolling paths whose leg lengths are optimised, those of the largest margins."""
-
 
 def rolling_paths(path: Path, requirements: Requirements, *, at_rest: bool = False) -> list[Path]:
     """Return the path with legs that roll between its ends and keep all distances, fastest first.
 
     Legs pass above each other as they roll. Leg lengths are those of the path's law, or have
-    fractions that are linear from end to end; if neither keeps the distances with any roll, nearby
-    ones are optimised. ``at_rest`` is that of ``with_legs_clear``.
+    fractions that are linear from end to end. ``at_rest`` is that of ``with_legs_clear``.
     """
     laws = path.legs, _linear_fractions(path, at_rest=at_rest)
     rolled = [
@@ -108,20 +104,9 @@ def rolling_paths(path: Path, requirements: Requirements, *, at_rest: bool = Fal
     ]
     paths = [each for each in rolled if legs_clear(each, requirements)]
     if not paths:
-        margins = [_smallest_margin(each, requirements) for each in rolled]
-        nearest = np.argsort(margins)[::-1][:MAX_SLIDING]
-        slid = [with_legs_clear(rolled[k], requirements, at_rest=at_rest) for k in nearest]
-        paths = [each for each in slid if legs_clear(each, requirements)]
-    if not paths:
         return []
     order = np.argsort(flight_estimates(paths, requirements.limits), kind="stable")
     return [paths[index] for index in order]
-
-
-def _smallest_margin(path: Path, requirements: Requirements) -> float:
-    """Return the smallest margin of distances at samples of a path."""
-    shapes = shapes_along(path, np.linspace(0.0, 1.0, PATH_SAMPLES))
-    return leg_task_of(path, requirements, shapes, SAMPLE_MARGIN).reference_margin()
 
 
 def _raised_roll(path: Path, angle: float, part: float, *, at_rest: bool) -> PiecewisePolynomial:

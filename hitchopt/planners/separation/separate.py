@@ -1,4 +1,4 @@
-"""The separation planner: routes from all guesses, and drones one by one."""
+"""The separation planner: routes from all guesses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from functools import cached_property, partial
 from hitchopt.errors import InfeasibleError, Progress, Violation, rounded_up
 from hitchopt.planners.candidates import Candidate, Effort, first_certified, first_feasible
 from hitchopt.planners.separation.evaluation import (
-    REMEDY,
     CurveBounds,
     checks_of,
     closest_of,
@@ -19,7 +18,6 @@ from hitchopt.planners.separation.evaluation import (
 )
 from hitchopt.planners.separation.guesses import on_layers, pushed_apart, roundabout, scheduled
 from hitchopt.planners.separation.nominal import setting_of
-from hitchopt.planners.separation.one_by_one import alone, in_a_row, order_of
 from hitchopt.planners.separation.prioritized import prioritized
 from hitchopt.planners.separation.retiming import retimed
 from hitchopt.planners.separation.search import IN_FREE_SPACE, Guess, improved, is_good
@@ -35,11 +33,7 @@ MAX_RETIMINGS = 4
 """Maximum number of clocks of clear curves, each on the breaks of the last one."""
 
 MAX_EFFORT = 150_000.0
-"""Effort after which no further guess is tried but drones one by one; programs take one unit per
-drone and piece."""
-
-MAX_ONE_BY_ONE = 24
-"""Largest number of drones that fly one after the other."""
+"""Effort after which no further guess is tried; programs take one unit per drone and piece."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +83,6 @@ class SeparatedCurves:
             yield Candidate("route", partial(self._route, guess, report, effort))
             if effort.spent > MAX_EFFORT:
                 break
-        if 1 < task.drones <= MAX_ONE_BY_ONE and not task.tethers:
-            yield Candidate("flight of one drone after the other", partial(self._in_a_row, report))
         if task.duration is None:
             return
         report("searching for a feasible duration")
@@ -117,40 +109,6 @@ class SeparatedCurves:
                 raise InfeasibleError(violations, LOCAL_SEARCH)
             curves = curves.stretched(task.duration / curves.duration)
         return SeparationResult(curves, closest, self.setting.bound, guess.rule)
-
-    def _in_a_row(self, report: Progress) -> SeparationResult:
-        """Return curves of one drone after the other; raise InfeasibleError without any."""
-        report("guess: one after the other")
-        task = self.task
-        order = order_of(task)
-        if order is None:
-            raise InfeasibleError(
-                [], "no order was found in which one drone can fly after the other"
-            )
-        flights = list[tuple[int, PiecewisePolynomial]]()
-        for k, drone in enumerate(order):
-            planner = SeparatedCurves(alone(task, drone, order[:k]))
-            flight = first_feasible([Candidate("flight", planner.solve)], None)
-            if flight is None:  # its violations are of prisms around others, not of the task
-                name = task.names[drone]
-                raise InfeasibleError([], f"no flight of {name} past the others at rest was found")
-            flights.append((drone, flight.drones))
-        curves = in_a_row(task, flights)
-        if task.duration is not None:
-            if curves.duration > task.duration:
-                raise InfeasibleError([_too_short(task, curves.duration, SLOW_ROUTE)])
-            curves = curves.stretched(task.duration / curves.duration)
-        checks = checks_of(task, curves)
-        violations = [
-            check.violation(f"at t = {check.time:.4g} s", REMEDY)
-            for check in checks
-            if not check.holds
-        ]
-        if violations:
-            raise InfeasibleError(violations, LOCAL_SEARCH)
-        return SeparationResult(
-            curves, closest_of(checks), self.setting.bound, "one after the other"
-        )
 
 
 def _guesses(setting: Setting) -> Iterator[Guess]:
