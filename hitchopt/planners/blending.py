@@ -69,17 +69,14 @@ class BlendedSteps:
 
     def candidates(self) -> Iterator[Candidate[StepPlan]]:
         """Yield the paths; raise InfeasibleError if a step that stops is infeasible itself."""
-        yield Candidate("path through the ends", self._through_ends)
+        ends = [step.hitches(0) for step in self.steps]
+        yield Candidate("path through the ends", partial(self._through, ends))
         routes = self.stopped()
         for rolls in (False, True) if self.free_legs else (False,):
             for count in BLEND_SHAPES:
                 yield Candidate(
                     "blended path", partial(self._through_shapes, routes, count, rolls=rolls)
                 )
-
-    def _through_ends(self) -> StepPlan:
-        """Return the plan through the steps' own hitches alone."""
-        return self._through([step.hitches(0) for step in self.steps])
 
     def _through_shapes(self, routes: Sequence[StepPlan], count: int, *, rolls: bool) -> StepPlan:
         """Return the plan through a number of shapes of each route, and its end."""
@@ -110,16 +107,26 @@ class BlendedSteps:
             """Return the plan along a path."""
             motion, times_within = morph.timed(path)
             phases = self._phases([0.0, *times_within[last].tolist(), motion.duration])
-            slowed = motion.replaced(phases=phases).slowed(self._slowing(phases))
+            durations = np.array([step.duration or 0.0 for step in self.steps])
+            flown = np.array([phase.end - phase.start for phase in phases])
+            factor = max(1.0, float(np.max(durations / flown)))  # no step is shorter than that
+            slowed = motion.replaced(phases=phases).slowed(factor)
             plan = self.task.plan_ending(slowed, passed[-1])
             return with_friction_feedforward(plan, timed=False)
+
+        def rolling(path: Path) -> StepPlan:
+            """Return the certified plan along a path with legs that roll."""
+            roll = math.degrees(largest_roll(path))
+            return require_certified(along(path)).with_remark(
+                f"legs roll by up to {roll:.0f}° on the way"
+            )
 
         path = morph.path
         if not rolls:
             return past_obstacles(self.task, along(path), path, along)
         paths = rolling_paths(path, requirements)[:MAX_ROLLING] or [path]
-        rolling = [Candidate("rolling path", partial(_rolling_plan, along, path)) for path in paths]
-        return first_certified(rolling, self.task.effort, self.task.progress)
+        candidates = [Candidate("rolling path", partial(rolling, path)) for path in paths]
+        return first_certified(candidates, self.task.effort, self.task.progress)
 
     def _phases(self, times: Sequence[float]) -> tuple[Phase, ...]:
         """Return the phases of the steps, which begin and end at times (steps + 1,) [s]."""
@@ -128,19 +135,6 @@ class BlendedSteps:
             Phase(step.name, self.task.index + j, times[j], times[j + 1], remarks[j])
             for j, step in enumerate(self.steps)
         )
-
-    def _slowing(self, phases: Sequence[Phase]) -> float:
-        """Return the factor of time by which no step is shorter than its duration, at least 1."""
-        durations = np.array([step.duration or 0.0 for step in self.steps])
-        flown = np.array([phase.end - phase.start for phase in phases])
-        return max(1.0, float(np.max(durations / flown)))
-
-
-def _rolling_plan(along: Callable[[Path], StepPlan], path: Path) -> StepPlan:
-    """Return the certified plan along a path with legs that roll."""
-    plan = require_certified(along(path))
-    roll = math.degrees(largest_roll(path))
-    return plan.with_remark(f"legs roll by up to {roll:.0f}° on the way")
 
 
 def hitches_along(path: Path, count: int) -> list[Hitch]:

@@ -197,7 +197,9 @@ class HoldJudge:
         """Requirements of the hitch below the rim: with a margin, without what cables may touch."""
         requirements = self.planner.requirements
         others = {k: body for k, body in requirements.objects.items() if k != self.name}
-        separation = wider_for_closing(requirements.separation)
+        separation = requirements.separation
+        wider = {key: CLOSING_MARGIN * getattr(separation, key) for key in keys_of(Separation)}
+        separation = replace(separation, **wider)
         return replace(requirements, objects=others, separation=separation)
 
     @cached_property
@@ -710,9 +712,3 @@ def on_pillar(name: str, tray: SolidObject) -> dict[str, SolidObject]:
     pillar = SolidObject(Section(radius=PILLAR_RADIUS), 0.0, PILLAR_HEIGHT, at=centre, fixed=True)
     standing = tray.moved_to(np.array([0.0, 0.0, PILLAR_HEIGHT - tray.lower, 0.0]))
     return {name: standing, "pillar": pillar}
-
-
-def wider_for_closing(separation: Separation) -> Separation:
-    """Return the distances to keep with the margin for closing."""
-    wider = {key: CLOSING_MARGIN * getattr(separation, key) for key in keys_of(Separation)}
-    return replace(separation, **wider)

@@ -75,19 +75,15 @@ def check_start(task: StepTask) -> None:
     error = infeasible_error(plan.certificate, plan.motion, "at the start (t = 0)")
     for violation in error.violations:
         if violation.constraint == "span":
-            spans.append(_overstretched(violation, task.before))
+            k = int(violation.where[0].removeprefix("cable "))
+            q, r = task.before.drones[2 * k : 2 * k + 2]
+            distance = float(np.linalg.norm(r - q))
+            remedy = (
+                f"{distance:.6g} m apart on a cable of {task.before.team.cable_length[k]:.6g} m: "
+                f"move q{k} and r{k} of start.drones closer together, or use a longer cable"
+            )
+            named = (f"robot {k}", f"q{k}", f"r{k}")
+            spans.append(replace(violation, where=named, remedy=remedy))
         else:
             consequences.append(violation)
     raise InfeasibleError([*spans, *consequences])
-
-
-def _overstretched(violation: Violation, state: RestState) -> Violation:
-    """Return the violation of a span at the start, with the names and the distance of drones."""
-    k = int(violation.where[0].removeprefix("cable "))
-    q, r = state.drones[2 * k : 2 * k + 2]
-    distance = float(np.linalg.norm(r - q))
-    remedy = (
-        f"{distance:.6g} m apart on a cable of {state.team.cable_length[k]:.6g} m: move q{k} and "
-        f"r{k} of start.drones closer together, or use a longer cable"
-    )
-    return replace(violation, where=(f"robot {k}", f"q{k}", f"r{k}"), remedy=remedy)

@@ -214,10 +214,6 @@ class StraddlePlanner(MovePlanner):
 
     # Motions.
 
-    def moved_beside(self, distance: float) -> StraddlePlanner:
-        """Return the planner whose straight cables are at a distance [m] from the object."""
-        return replace(self, path=replace(self.path, beside=distance))
-
     @cached_property
     def hanging(self) -> HangingDrones:
         """Drones with cables hanging next to the object, off the ground while turning about it."""
@@ -405,19 +401,28 @@ def find_straddle(
     planner = best(candidates(), 0.0)
     _check_straddle(planner)
     hanging_cables = _hanging_cables(team, planner.hanging.drones)
-    return planner.moved_beside(_distance_beside(hold, requirements, [hanging_cables, *before]))
+    beside = _distance_beside(hold, requirements, [hanging_cables, *before])
+    return replace(planner, path=replace(planner.path, beside=beside))
 
 
 def _check_straddle(planner: StraddlePlanner) -> None:
     """Raise InfeasibleError if the best planner of all candidates breaks a limit."""
-    if planner.path.sides_passed:
-        raise InfeasibleError([_met_sides(planner.path)])
+    path = planner.path
+    if path.sides_passed:
+        largest_turn = math.degrees(float(np.max(path.turns)))
+        value = largest_turn * max(path.sides_passed)
+        limit = largest_turn * path.largest_pitched
+        when = "where cables cross beyond the object and touch another of its sides as they bend"
+        remedy = "use longer cables, which are tied farther out, or enclose the outline in a circle"
+        raise InfeasibleError(
+            [Violation("continuity", value, limit, "max", "deg", (), when, remedy)]
+        )
     if planner.unbalanced:
         when = "as cables lie on one another"
         remedy = "raise tie.tension, or use lighter cables or a different cable length"
         raise InfeasibleError([planner.unbalanced.violation(when, remedy)])
     distances = [planner.closest_rolling]
-    if planner.path.pitch > 0.0:  # of pairs that can roll
+    if path.pitch > 0.0:  # of pairs that can roll
         distances.append(planner.closest_bent)
     tightest = _tightest(distances)
     if not tightest.is_kept:
@@ -472,13 +477,3 @@ def _angle_to_side(hold: GripHold) -> float:
     angles = (to_sides + 0.5 * math.pi) % math.pi - 0.5 * math.pi  # of lines without direction
     nearest = float(angles[np.argmin(np.abs(angles))])
     return nearest if len(sides) > 1 and abs(nearest) < MIN_BEND else 0.0
-
-
-def _met_sides(path: Straddle) -> Violation:
-    """Return the violation of pitched cables that meet the sides of an object."""
-    largest_turn = math.degrees(float(np.max(path.turns)))
-    value = largest_turn * max(path.sides_passed)
-    limit = largest_turn * path.largest_pitched
-    remedy = "use longer cables, which are tied farther out, or enclose the outline in a circle"
-    when = "where cables cross beyond the object and touch another of its sides as they bend"
-    return Violation("continuity", value, limit, "max", "deg", (), when, remedy)

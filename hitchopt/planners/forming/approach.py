@@ -357,7 +357,13 @@ def assign_pairs(
     cost = np.minimum(direct_cost, flipped_cost) + further_costs
     largest_cost = float(np.max(cost))
     penalty = excluded * (1.0 + largest_cost) * len(cost)
-    preference = TIE * largest_cost * _preference(robots)
+    # Small costs resolve ties: robots prefer edges of their own number; multiples of the golden
+    # ratio modulo 1 resolve the rest
+    index = np.arange(robots)
+    other_number = np.abs(index[:, None] - index) / robots
+    distinct = np.mod(GOLDEN * np.arange(1.0, robots * robots + 1.0), 1.0)
+    order = distinct.reshape(robots, robots)
+    preference = TIE * largest_cost * (other_number + PREFERENCE_OF_ORDER * order)
     robot, pair = linear_sum_assignment(cost + preference + penalty)
     robot_of_pair = robot[np.argsort(pair)]
 
@@ -369,16 +375,3 @@ def assign_pairs(
     # For equal costs cables turn counter-clockwise
     flipped = np.where(np.abs(gain) > tie, gain > 0.0, turns_clockwise)
     return Assignment(tuple(robot_of_pair.tolist()), tuple(flipped.tolist()))
-
-
-def _preference(robots: int) -> Array:
-    """Return small costs (robots, edges) that resolve ties of an assignment.
-
-    Robots prefer edges of their own number; multiples of the golden ratio modulo 1 resolve the
-    rest.
-    """
-    index = np.arange(robots)
-    other_number = np.abs(index[:, None] - index) / robots
-    distinct = np.mod(GOLDEN * np.arange(1.0, robots * robots + 1.0), 1.0)
-    order = distinct.reshape(robots, robots)
-    return np.asarray(other_number + PREFERENCE_OF_ORDER * order)

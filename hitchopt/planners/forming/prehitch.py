@@ -536,12 +536,6 @@ class SampledSwaps:
         plane = float(self.ellipses.centres[0, 2])
         return plane - lowest + self.requirements.height_ratio * self.displacement
 
-    @property
-    def span_ratio(self) -> float:
-        """Largest distance of a cable's drones, over its length."""
-        spans = np.linalg.norm(self.r - self.q, axis=-1)
-        return float(np.max(spans / self.ellipses.team.cable_length))
-
     def opening(self, hitch: Hitch) -> float:
         """Return the smallest distance [m] from q to r along a cable's edge, before the swaps.
 
@@ -571,8 +565,10 @@ class SampledSwaps:
         diameter = 2.0 * MIN_SEPARATION * radius
         opening = self.opening(hitch)
         link_length = self.ellipses.link_length
+        spans = np.linalg.norm(self.r - self.q, axis=-1)
+        span_ratio = float(np.max(spans / self.ellipses.team.cable_length))
         bounds = [
-            Bound.largest("span", self.span_ratio, MAX_SPAN_RATIO, "ratio"),
+            Bound.largest("span", span_ratio, MAX_SPAN_RATIO, "ratio"),
             Bound.least("separation", opening, diameter, "m", scale=radius),
             Bound.least("interlacing", link_length, MIN_LINK, "m", scale=radius),
             Bound.least("separation", closest, SAMPLED_SEPARATION, "ratio"),

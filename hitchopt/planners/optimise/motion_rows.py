@@ -27,7 +27,7 @@ from hitchopt.planners.optimise.parts import (
 )
 from hitchopt.planners.optimise.splines import LocalBasis, PathSplines, scattered
 from hitchopt.planners.path import Path
-from hitchopt.planners.timing.clock import Clock, ClockedPath
+from hitchopt.planners.timing.clock import Clock, ClockedPath, inside
 from hitchopt.planners.timing.profile import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.timed_motion import clocked_limits
 from hitchopt.trajectory.splines import knots_through
@@ -56,9 +56,7 @@ class ClockSamples:
     @cached_property
     def tau(self) -> Array:
         """(M,) [s]: the nodes."""
-        nodes, _ = np.polynomial.legendre.leggauss(self.nodes)
-        half = 0.5 * np.diff(self.clock.knots)[:, None]
-        return np.asarray((self.clock.knots[:-1, None] + half * (1.0 + nodes)).ravel())
+        return inside(self.clock.knots, np.polynomial.legendre.leggauss(self.nodes)[0])
 
     @cached_property
     def weights(self) -> Array:

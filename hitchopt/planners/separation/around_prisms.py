@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -210,18 +209,12 @@ def _points_over(prism: Prism, ends: Array, distance: float) -> Array:
     return np.column_stack([np.vstack([crossings, crossings]), heights])
 
 
-class Crossings(NamedTuple):
-    """Shares (m,) of segments at which they enter and exit a prism.
+def _crossings(prism: Prism, distance: float, first: Array, last: Array) -> tuple[Array, Array]:
+    """Return the shares (m,) of segments at which they enter and exit a prism.
 
-    Segments that miss the prism exit before they enter.
+    Segments between points (m, 3) cross the prism widened by a distance [m]; those that miss it
+    exit before they enter.
     """
-
-    entry: Array
-    exit: Array
-
-
-def _crossings(prism: Prism, distance: float, first: Array, last: Array) -> Crossings:
-    """Return where segments between points (m, 3) cross a prism widened by a distance [m]."""
     sides = unit(np.insert(left_of(prism.polygon.edge_vectors), 2, 0.0, axis=1))
     supports = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
     normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
@@ -235,7 +228,7 @@ def _crossings(prism: Prism, distance: float, first: Array, last: Array) -> Cros
     entry = np.max(np.where(change < 0.0, crossing, 0.0), axis=1, initial=0.0)
     exit_ = np.min(np.where(change > 0.0, crossing, 1.0), axis=1, initial=1.0)
     is_parallel_outside = np.any((change == 0.0) & (first_height >= 0.0), axis=1)
-    return Crossings(np.where(is_parallel_outside, 1.0, entry), exit_)
+    return np.where(is_parallel_outside, 1.0, entry), exit_
 
 
 def _widened(outline: Array, distance: float) -> Array:

@@ -87,7 +87,7 @@ class Clock:
     @property
     def breaks(self) -> Array:
         """(K + 1,) [s]: t at the knots."""
-        tau = _inside(self.knots, TIME_NODES)
+        tau = inside(self.knots, TIME_NODES)
         squared_rates = self.squared_rate.at(tau).reshape(-1, TIME_SAMPLES)
         half_steps = 0.5 * (self.knots[1:] - self.knots[:-1])
         durations = half_steps * (squared_rates**-0.5 @ TIME_WEIGHTS)
@@ -101,7 +101,7 @@ class Clock:
         return chained(self.progress.jet(self.knots, 4), by_t)
 
 
-def _inside(knots: Array, nodes: Array) -> Array:
+def inside(knots: Array, nodes: Array) -> Array:
     """Return the places (K · m,) of nodes (m,) in [-1, 1] within all pieces between knots."""
     half = 0.5 * (knots[1:] - knots[:-1])[:, None]
     return (knots[:-1, None] + half * (1.0 + nodes)).ravel()
@@ -136,7 +136,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt, jerk_shares: Array | None 
     ------
     TimingError: no constant rate satisfies the limits at the samples.
     """
-    tau = _inside(clock.knots, NODES)
+    tau = inside(clock.knots, NODES)
     weights = (0.5 * (clock.knots[1:] - clock.knots[:-1])[:, None] * WEIGHTS).ravel()
     progress = clock.progress.jet(tau, 4)
     basis = SplineBasis.of(clock.knots, tau)
