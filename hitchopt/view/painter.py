@@ -55,6 +55,7 @@ MIN_DRONE_SIZE = 0.03  # Minimum radius of a drone as a fraction of a panel's he
 PATH_SAMPLES = 150  # Number of points of a drone's path
 PATH_OPACITY = 0.45  # Opacity of a drone's path
 LETTER_WIDTH = 5.6  # Width of a bold small letter [points]
+TITLE_LETTER_WIDTH = 4.6  # Mean width of a letter of a panel's title [points]
 LINE_HEIGHT = 10.0  # Line height [points]
 
 
@@ -294,6 +295,7 @@ def draw_storyboard(
     reached = np.searchsorted(flown[0], scene.t[moments])
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
         axes: Axes = figure.add_subplot(grid[k // columns, k % columns])
+        width = axes.get_position().width
         lines = np.moveaxis(paths[reached[max(k - 1, 0)] : reached[k] + 1], 1, 0)
         draw_ground(axes, scene, camera)
         style.draw_lines(axes, lines, scene.appearance.drone_colours, 0.6, 1, alpha=PATH_OPACITY)
@@ -305,7 +307,10 @@ def draw_storyboard(
         axes.spines[:].set_color("0.85")
         places = camera.project(scene.drones[i])[:, :2]
         write_labels(axes, scene.appearance.labels, places, size * radius)
-        axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
+        title = f"{shot.words}, {shot.time:.1f} s"
+        if TITLE_LETTER_WIDTH * len(title) > 72.0 * figure.get_size_inches()[0] * width:
+            title = f"{shot.time:.1f} s"
+        axes.set_title(title, fontsize="small", parse_math=False)
     length = 10.0 ** math.floor(math.log10(float(half[0])))
     words: Any = {"loc": "lower right", "borderpad": 0.3}
     words |= {"prop": {"size": "x-small"}, "size_vertical": 0.01 * float(half[1]), "color": "0.3"}

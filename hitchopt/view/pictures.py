@@ -215,7 +215,8 @@ def draw_summary(
     for each in axes:
         each.yaxis.set_label_coords(LABEL_AT, 0.5)
     style.legend_below(axes[-1], _panel_handles(), 0.32, 2)
-    style.headline(figure, title, f"{style.facts(flight)}; {style.verdict(certificate)}")
+    width = style.NARROW_HEADLINE if len(flight.teams) > 1 else style.HEADLINE_LENGTH
+    style.headline(figure, title, f"{style.facts(flight)}; {style.verdict(certificate)}", width)
     return figure
 
 
@@ -310,7 +311,7 @@ def draw_phases(
 
     Phases of a step such as ``swap 1`` and ``swap 2`` are named together. Names of short phases are
     slanted, and moved apart where they would overlap; if they do not fit, those of the longest
-    phases are written. Long lines are cut at the start. Nothing is drawn before ``start`` and after
+    phases are written. Long names of teams are cut. Nothing is drawn before ``start`` and after
     ``end`` [s], between which the axes are.
     """
     figure: Any = axes[0].figure
@@ -380,9 +381,13 @@ def _placed_names(
 
 
 def _lines(name: str) -> list[str]:
-    """Return the lines of a phase's name, cut at the start."""
-    cut = slice(-MAX_CHARACTERS, None)
-    return [x if len(x) <= MAX_CHARACTERS else f"…{x[cut]}" for x in name.split(", ")]
+    """Return the lines of a phase's name; long names of teams are cut before the last word."""
+    lines = []
+    for line in name.split(", "):
+        team, _, word = line.rpartition(" ")
+        room = max(0, MAX_CHARACTERS - len(word) - len("… "))
+        lines.append(line if len(line) <= MAX_CHARACTERS else f"{team[:room]}… {word}")
+    return lines
 
 
 @style.own_style()

@@ -58,6 +58,7 @@ PAGE_SHARE = 0.7  # Height of a single plot over its width in such figures
 LETTER_WIDTH = 0.5  # Width of a letter over its size
 HANDLE_WIDTH = 26.0  # Width of an entry of a legend without its text [points]
 HEADLINE_LENGTH = 98  # Maximum length of a headline: phases' names are on its right
+NARROW_HEADLINE = 84  # The same next to phases of several teams, whose names have several lines
 
 
 def cable_colours(n: int) -> tuple[str, ...]:
@@ -189,10 +190,10 @@ def set_page_text(figure: Figure) -> None:
         text.set_fontsize(PAGE_TEXT)
 
 
-def headline(figure: Figure, title: str, words: str) -> None:
+def headline(figure: Figure, title: str, words: str, length: int = HEADLINE_LENGTH) -> None:
     """Write a plan's title, and words below it, above the left part of a figure."""
-    name = textwrap.shorten(title, HEADLINE_LENGTH, placeholder=" …")
-    words = textwrap.fill(words, HEADLINE_LENGTH)
+    name = textwrap.shorten(title, length, placeholder=" …")
+    words = textwrap.fill(words, length)
     look: Any = {"x": 0.012, "ha": "left", "fontsize": "large", "parse_math": False}
     figure.suptitle(f"{name}\n{words}".strip(), **look)
 

@@ -394,12 +394,13 @@ def test_names_of_checks_are_found_in_their_team() -> None:
     assert (parts.drones, parts.cables, parts.vertices) == ((8,), (2, 4), (3,))
 
 
-@pytest.mark.parametrize("before", ["", "northern_"])
+@pytest.mark.parametrize("before", ["", "northern_", "of_northern_halls_"])
 def test_names_of_teams_are_apart_and_on_no_drone(before: str) -> None:
     plan = planned("hitch_and_swarm")
     renamed = [dataclasses.replace(x, name=f"{before}{x.name}") for x in plan.flight.teams]
     flight, camera = Flight(tuple(renamed)), Camera.at_angles(AZIMUTH, ELEVATION)
-    figure, shots = draw_summary(flight, plan.certificate), choose_shots(plan.flight)
+    title = "A title that is as long as a headline " * 4
+    figure, shots = draw_summary(flight, plan.certificate, title), choose_shots(plan.flight)
     figure.draw_without_rendering()
     scene = scene_at(flight, np.array([shot.time for shot in shots]))
     for axes, drones in zip(figure.axes, scene.drones, strict=False):
@@ -409,11 +410,17 @@ def test_names_of_teams_are_apart_and_on_no_drone(before: str) -> None:
         for place in axes.transData.transform(camera.project(drones)[:, :2]):
             assert not first.contains(*place)
             assert not second.contains(*place)
+        panel, written = axes.get_window_extent(), axes.title.get_window_extent()
+        assert panel.x0 <= written.x0 < written.x1 <= panel.x1
     head = next(text for text in figure.texts if "limits hold" in text.get_text())
     for text in figure.axes[-3].texts:
         box = text.get_window_extent()
         assert box.y1 < figure.bbox.y1
         assert Bbox.intersection(box, head.get_window_extent()) is None
+    names = [line.split()[-1] for phase in flight.phases for line in phase.name.split(", ")]
+    drawn = [line for text in figure.axes[-3].texts for line in text.get_text().split("\n")]
+    ends = [line.split()[-1] for line in drawn if line.split()[0] not in ("limit", "worst")]
+    assert ends == names
 
 
 def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:

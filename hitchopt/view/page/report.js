@@ -168,7 +168,7 @@ class Page {
     this.phases.forEach((row, i) => row.classList.toggle("now", i === now));
     this.strips.forEach((block, i) => block.classList.toggle("now", i === now));
     byId("scrub").value = this.time;
-    byId("clock").textContent = `${phases[now]?.name ?? ""} · ${this.time.toFixed(2)} / ${duration.toFixed(2)} s`;
+    byId("clock").textContent = `${this.time.toFixed(2)} / ${duration.toFixed(2)} s · ${phases[now]?.name ?? ""}`;
     this.needle.style.left = `${100 * this.time / (duration || 1)}%`;
     this.plots.at(this.time);
     this.stage.show();

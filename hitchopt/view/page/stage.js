@@ -322,9 +322,9 @@ class Stage {
       const { node, array, at, drone } = label;
       node.hidden = !(isHighlighted(label) || (this.on.names && few && (drone >= 0 || this.hooked)));
       if (node.hidden) continue;
-      const { x, y, behind } = this.project(array, at);
-      node.hidden = behind || placed.some(([u, v]) => Math.abs(u - x) < 1.7 * em && Math.abs(v - y) < 0.9 * em);
-      if (!node.hidden) placed.push([x, y]);
+      const { x, y, behind } = this.project(array, at), width = (0.8 + 0.45 * node.textContent.length) * em;
+      node.hidden = behind || placed.some(([u, v, size]) => u < x + width && x < u + size && Math.abs(v - y) < 0.9 * em);
+      if (!node.hidden) placed.push([x, y, width]);
       node.style.transform = `translate(${x + 0.6 * em}px, ${y - 1.4 * em}px)`;
     }
   }
