@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -43,8 +42,8 @@ def separated_flight(task: StepTask, goal: Array, duration: float | None, name: 
     """
     requirements = task.requirements
     team = task.before.team
-    prisms = list(_named_prisms(requirements, team))
-    keep_out = tuple(named.prism for named in prisms)
+    named_prisms = list(_named_prisms(requirements, team))
+    keep_out = tuple(prism for _, prism in named_prisms)
     separation_task = SeparationTask(
         task.before.drones,
         goal,
@@ -52,7 +51,7 @@ def separated_flight(task: StepTask, goal: Array, duration: float | None, name: 
         duration=duration,
         acceleration=flyable_accelerations(team, requirements.limits),
         names=team.drone_names,
-        prisms=tuple(named.name for named in prisms),
+        prisms=tuple(name for name, _ in named_prisms),
     )
     separated = SeparatedCurves(separation_task).solve(task.progress)
     drones = separated.drones
@@ -61,28 +60,18 @@ def separated_flight(task: StepTask, goal: Array, duration: float | None, name: 
     return StepPlan(motion, replace(task.before, drones=goal))
 
 
-class NamedPrism(NamedTuple):
-    """A prism that drones stay out of."""
-
-    name: str
-    """Name of the prism, or of the object that it contains."""
-
-    prism: Prism
-    """The prism."""
-
-
-def _named_prisms(requirements: Requirements, team: Team) -> Iterator[NamedPrism]:
-    """Yield the prisms that drones of a team stay out of, also around objects.
+def _named_prisms(requirements: Requirements, team: Team) -> Iterator[tuple[str, Prism]]:
+    """Yield the prisms that drones of a team stay out of, also around objects, and their names.
 
     Above objects that their downwash moves they keep their ellipsoids' height.
     """
     for k, prism in enumerate(requirements.keep_out):
-        yield NamedPrism(f"prism {k}", prism)
+        yield f"prism {k}", prism
     separation = requirements.separation
     for name, body in requirements.objects.items():
         rise = separation.height - separation.radius if moves(body, team) else 0.0
         for slab in body.slabs:
-            yield NamedPrism(name, _prism_around(body, slab, rise))
+            yield name, _prism_around(body, slab, rise)
 
 
 def _prism_around(body: SolidObject, slab: Slab, rise: float) -> Prism:
