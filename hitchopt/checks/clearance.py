@@ -188,20 +188,6 @@ Cables that are drawn taut rise: their distances from drones are horizontal, too
 """
 
 
-def _drones_and_standing(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of drones and prisms, and of drones and objects that nothing can hold."""
-    drones = drones_of(motion)
-    points = Enclosed(drones.corners)
-    for prism in motion.requirements.keep_out:
-        yield pairs_with_shape(motion, points, drones.names, "", Solid(prism.slab))
-    yield from _drones_and_objects(motion, held=False)
-
-
-def _drones_and_movable(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of drones and objects that their cables can hold."""
-    yield from _drones_and_objects(motion, held=True)
-
-
 def _drones_and_objects(motion: Motion, *, held: bool) -> Iterator[Moving]:
     """Yield pairs of drones and objects that can be ``held`` by cables, or cannot."""
     drones = drones_of(motion)
@@ -210,6 +196,15 @@ def _drones_and_objects(motion: Motion, *, held: bool) -> Iterator[Moving]:
         if (motion.team.has_cables and not body.fixed) is held:
             for slab in body.slabs:
                 yield pairs_with_shape(motion, points, drones.names, name, Solid(slab), pose)
+
+
+def _drones_and_standing(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of drones and prisms, and of drones and objects that nothing can hold."""
+    drones = drones_of(motion)
+    points = Enclosed(drones.corners)
+    for prism in motion.requirements.keep_out:
+        yield pairs_with_shape(motion, points, drones.names, "", Solid(prism.slab))
+    yield from _drones_and_objects(motion, held=False)
 
 
 KEEP_OUT = CheckRule(
@@ -226,7 +221,11 @@ KEEP_OUT = CheckRule(
             formulas=(gap, Solid.normals),
             bodies=(("drones", "objects"),),
         ),
-        Evaluator(nearest(_drones_and_movable), exported=True, bodies=(("drones", "held"),)),
+        Evaluator(
+            nearest(partial(_drones_and_objects, held=True)),
+            exported=True,
+            bodies=(("drones", "held"),),
+        ),
     ),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
     group="distances",

@@ -167,6 +167,16 @@ def _cases_of_gripped(
         yield WorstCase(extremum.worst, extremum.time, (name,))
 
 
+def _smallest(formula: Callable[[Gripped], Bound]) -> Callable[[Motion, float], WorstCase]:
+    """Return a function of the smallest value of a formula for all gripped objects."""
+
+    def smallest(motion: Motion, limit: float) -> WorstCase:
+        cases = [WorstCase(math.inf, 0.0), *_cases_of_gripped(motion, formula, "min", limit)]
+        return min(cases, key=lambda case: case.worst)
+
+    return smallest
+
+
 def _straight_parts(corners: Enclosed) -> Enclosed:
     """Return the straight parts (…, 2) [m] of edges that bend at corners (…, 4)."""
     return select(corners, [1, 3]) - select(corners, [0, 2])
@@ -219,14 +229,15 @@ def _slipping(motion: Motion, limit: float) -> WorstCase:
 
     It is minus infinity if an edge bends without a gripped object, or off the object's section.
     """
-    cases = [WorstCase(math.inf, 0.0), *_cases_of_gripped(motion, slip_ratio, "min", limit)]
+    slipping = _smallest(slip_ratio)(motion, limit)
     is_bent_freely = np.any(~_straight(Enclosed(bends(motion))), axis=1)
     for gripped in gripped_objects(motion):
         is_bent_freely &= ~gripped.pieces
     if np.any(is_bent_freely):
         first = int(np.argmax(is_bent_freely))
-        cases.append(WorstCase(-math.inf, float(motion.drones.breaks[first])))
-    return min(cases, key=lambda case: case.worst)
+        bent_freely = WorstCase(-math.inf, float(motion.drones.breaks[first]))
+        return min(slipping, bent_freely, key=lambda case: case.worst)
+    return slipping
 
 
 FORMULAS = (slip_ratio, Gripped.slip_load, Gripped.load)
@@ -416,18 +427,12 @@ def _with_error(*rows: Enclosed) -> tuple[Array, Array]:
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
-def _least_stiff(motion: Motion, limit: float) -> WorstCase:
-    """Return the smallest stiffness of the yaw of an object that is carried."""
-    cases = [WorstCase(math.inf, 0.0), *_cases_of_gripped(motion, yaw_stiffness, "min", limit)]
-    return min(cases, key=lambda case: case.worst)
-
-
 YAW = CheckRule(
     "yaw",
     "N·m",
     "min",
     _yaw_limit,
-    (Evaluator(_least_stiff, HITCHED_STATE, formulas=(yaw_stiffness,)),),
+    (Evaluator(_smallest(yaw_stiffness), HITCHED_STATE, formulas=(yaw_stiffness,)),),
     "use longer cables, or give the object rounder corners",
     group="forces",
     bodies=(("held",),),
@@ -462,18 +467,12 @@ def hinge_height(spans: Gripped) -> Bound:
     return Bound(lowest, np.full(len(lowest), 0.5))
 
 
-def _lowest_hinge(motion: Motion, limit: float) -> WorstCase:
-    """Return the smallest height of clasps above the centre of mass of an object they carry."""
-    cases = [WorstCase(math.inf, 0.0), *_cases_of_gripped(motion, hinge_height, "min", limit)]
-    return min(cases, key=lambda case: case.worst)
-
-
 HINGE = CheckRule(
     "hinge",
     "m",
     "min",
     _hinge_limit,
-    (Evaluator(_lowest_hinge, HITCHED_STATE, formulas=(hinge_height,)),),
+    (Evaluator(_smallest(hinge_height), HITCHED_STATE, formulas=(hinge_height,)),),
     "tie higher above the centre of mass",
     group="forces",
     bodies=(("held",),),
