@@ -14,7 +14,7 @@ from hitchopt.mission.changes import size_of
 from hitchopt.mission.knobs import two_cable_tension
 from hitchopt.mission.problem import Problem
 from hitchopt.motion.motion import HoldBy
-from hitchopt.planners.candidates import Candidate, first_feasible
+from hitchopt.planners.candidates import if_feasible
 from hitchopt.planners.carrying.polygons import EDGE_MARGIN
 from hitchopt.planners.fitting import separating_cables
 from hitchopt.planners.grasps import shortest_judge
@@ -127,6 +127,6 @@ def _cables_around(problem: Problem, name: str) -> CablesAround:
         return CablesAround(outlines=[*both])
 
     try:
-        return first_feasible([Candidate("hold", fitted)], CablesAround())
+        return if_feasible("hold", fitted, CablesAround())
     except RequestError:  # the object cannot be held, as its step will say
         return CablesAround()

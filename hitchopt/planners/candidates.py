@@ -162,14 +162,14 @@ def first_certified(
     raise _refusal(failures) from _best(failures).error
 
 
-def first_feasible(candidates: Iterable[Candidate[T]], otherwise: U) -> T | U:
-    """Return the first certified plan, or what holds without one: a plan that is worse, or None.
+def if_feasible(name: str, query: Callable[[], T], otherwise: U) -> T | U:
+    """Return what a query answers, or what holds without it: a plan that is worse, or None.
 
-    Nothing is said of failures but planners' faults.
+    Nothing is said of failures but planners' faults, by the query's name.
     """
+    asked: Candidate[T | U] = Candidate(name, query)
     fallback: Candidate[T | U] = Candidate("as it is", lambda: otherwise)
-    with_fallback: list[Candidate[T | U]] = [*candidates, fallback]
-    return first_certified(with_fallback, Effort())
+    return first_certified([asked, fallback], Effort())
 
 
 def outcome(query: Callable[[], T]) -> T | InfeasibleError:

@@ -28,7 +28,7 @@ from hitchopt.planners.candidates import (
     Effort,
     error_of,
     first_certified,
-    first_feasible,
+    if_feasible,
 )
 from hitchopt.planners.carrying.hold_search import HoldSearch
 from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, HoldingHitch, RestHold, polygon_at
@@ -222,7 +222,7 @@ class HoldJudge:
         for clasps in polygons.below_rim:
             below = polygon_at(body, clasps)
             ending = partial(end_of_morph, self.around, below, None, self.closing)
-            end = first_feasible([Candidate("legs", ending)], None)
+            end = if_feasible("legs", ending, None)
             if end is not None:
                 legs = end.hitch.fractions, ROLL_RESERVE * end.hitch.roll
                 nearest.append(RestHold(self.team, body, clasps, body.rim.height, *legs))
@@ -426,7 +426,7 @@ class HoldJudge:
             build = partial(
                 HoldJudge.of, self.name, team, planner.requirements, planner.state.polygons
             )
-            longer = first_feasible([Candidate("cables", build)], None)
+            longer = if_feasible("cables", build, None)
             if longer is not None and longer.carries(planner.body.mass):
                 return longest + extra
         return None
@@ -684,7 +684,7 @@ def team_for_rim(judge: HoldJudge) -> Team | None:
 
     sizes = [robots for robots in COMPARED_ROBOTS if robots != team.robots]
     nearest_first = sorted(sizes, key=lambda robots: (abs(robots - team.robots), robots))
-    teams = (first_feasible([Candidate("team", partial(carrying, n))], None) for n in nearest_first)
+    teams = (if_feasible("team", partial(carrying, n), None) for n in nearest_first)
     return next(filter(None, teams), None)
 
 
@@ -703,7 +703,7 @@ def _rim_mass(judge: HoldJudge) -> float:
         resting = HoldJudge.of(judge.name, tensioned, requirements, polygons)
         return resting.heaviest.capacity.mass
 
-    return first_feasible([Candidate("rim", mass)], 0.0)
+    return if_feasible("rim", mass, 0.0)
 
 
 def on_pillar(name: str, tray: SolidObject) -> dict[str, SolidObject]:

@@ -13,7 +13,7 @@ from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.along import past_obstacles, plan_along
-from hitchopt.planners.candidates import Candidate, Effort, first_feasible
+from hitchopt.planners.candidates import Effort, if_feasible
 from hitchopt.planners.compensation import compensated
 from hitchopt.planners.morph.morph import load_violation, shape_violation
 from hitchopt.planners.path import Path
@@ -104,7 +104,7 @@ class OptimisedRoute:
     def _certified_motion(self, path: Path) -> Motion | None:
         """Return a certified motion along a path, or None."""
         certified = partial(self._certified_along, self._climbing(path))
-        return first_feasible([Candidate("route", certified)], None)
+        return if_feasible("route", certified, None)
 
     def _climbing(self, path: Path) -> Path:
         """Return a path of the search, which is horizontal, with the climb to the end."""

@@ -14,7 +14,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.motion import Phase
 from hitchopt.planners.along import past_obstacles, plan_along, straight_plan
-from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
+from hitchopt.planners.candidates import Candidate, first_certified, if_feasible
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import SlackSplit, end_of_morph
 from hitchopt.planners.morph.morph import moves, straight_path
@@ -124,11 +124,8 @@ class RouteSearch:
 
     def _requested_plan(self) -> StepPlan:
         """Return the optimised plan that the step requests, which may be along straight lines."""
-        ends = self.task.hitch, self.end
-        straight = Candidate(
-            "straight lines", partial(straight_path, *ends, self.task.requirements)
-        )
-        return self.optimised_plan(first_feasible([straight], None))
+        straight = partial(straight_path, self.task.hitch, self.end, self.task.requirements)
+        return self.optimised_plan(if_feasible("straight lines", straight, None))
 
     def _own_plan(self) -> StepPlan:
         """Return the certified plan along the step's own route, if need be around obstacles."""
@@ -145,8 +142,7 @@ class RouteSearch:
             return own
         if not is_slow(own, self.task.hitch, self.end):
             return own
-        faster = Candidate(FASTER_ROUTE, partial(self.optimised_plan, own.path, own))
-        return first_feasible([faster], own)
+        return if_feasible(FASTER_ROUTE, partial(self.optimised_plan, own.path, own), own)
 
     def optimised_plan(self, straight: Path | None = None, own: StepPlan | None = None) -> StepPlan:
         """Return the optimised plan.

@@ -29,7 +29,7 @@ from hitchopt.planners.candidates import (
     Effort,
     explained_once,
     first_certified,
-    first_feasible,
+    if_feasible,
 )
 from hitchopt.planners.forming import SwapSettings, prehitch
 
@@ -92,7 +92,7 @@ def test_only_the_best_failure_of_nested_searches_is_explained() -> None:
     assert [(x.value, x.when) for x in caught.value.violations] == [(0.8, "explained")]
     assert "the best of 2 candidates: 2 holds" in caught.value.note
     assert "the best of 2 candidates: 2 orientations" in caught.value.note
-    assert first_feasible([Candidate("orientation", partial(searched, 0.1))], None) is None
+    assert if_feasible("orientation", partial(searched, 0.1), None) is None
     assert explained == [0.8]
 
 
@@ -146,7 +146,7 @@ def test_errors_of_planners_are_no_errors_of_input() -> None:
     with pytest.warns(FaultWarning, match="circle: a planner failed: altitude = inf"):
         assert first_certified(candidates(fault, "planned"), Effort()) == "planned"
     with pytest.warns(FaultWarning, match="altitude = inf"):
-        assert first_feasible(candidates(fault), 0.0) == 0.0
+        assert if_feasible("circle", partial(failing, fault), 0.0) == 0.0
     with pytest.raises(PlannerError, match="altitude = inf"):
         first_certified(candidates(fault, fault), Effort())
     assert not issubclass(PlannerError, InputError)

@@ -22,7 +22,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase, PhaseHold, concatenated
 from hitchopt.motion.retiming import resting
 from hitchopt.objects.placing import poses_of
-from hitchopt.planners.candidates import Candidate, first_feasible
+from hitchopt.planners.candidates import if_feasible
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw, polynomials
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_violated
@@ -197,8 +197,7 @@ class StraddlePlanner(MovePlanner):
         If pairs cannot roll, or cables cannot be pitched or balanced, only this one, with
         horizontal cables.
         """
-        rolls = Candidate("rolling pairs", lambda: self.closest_rolling)
-        rolling = first_feasible([rolls], None)
+        rolling = if_feasible("rolling pairs", lambda: self.closest_rolling, None)
         if rolling is None:
             yield -math.inf, self
             return

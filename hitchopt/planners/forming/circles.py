@@ -20,7 +20,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask
-from hitchopt.planners.candidates import Candidate, first_feasible
+from hitchopt.planners.candidates import if_feasible
 from hitchopt.values import Array
 
 
@@ -157,4 +157,4 @@ def spread_hitch(
         split = LegTask.at_rest(team, polygon, legs, requirements, SPREAD_MARGIN).split()
         return Hitch(team, polygon, altitude, split.q_legs[0]) if split.margin >= 1.0 else None
 
-    return first_feasible([Candidate("spread legs", spread)], None)
+    return if_feasible("spread legs", spread, None)

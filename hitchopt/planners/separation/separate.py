@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 from hitchopt.errors import InfeasibleError, Progress, Violation, rounded_up
-from hitchopt.planners.candidates import Candidate, Effort, first_certified, first_feasible
+from hitchopt.planners.candidates import Candidate, Effort, first_certified, if_feasible
 from hitchopt.planners.separation.evaluation import (
     CurveBounds,
     checks_of,
@@ -87,7 +87,7 @@ class SeparatedCurves:
             return
         report("searching for a feasible duration")
         untimed = SeparatedCurves(replace(task, duration=None))
-        fastest = first_feasible([Candidate("fastest route", partial(untimed.solve, report))], None)
+        fastest = if_feasible("fastest route", partial(untimed.solve, report), None)
         if fastest is None:
             return
         duration = fastest.drones.duration
