@@ -486,6 +486,12 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
         np.testing.assert_allclose(free.positions[0], task.states.positions[0], atol=1e-3)
     with pytest.raises(InputError, match="with a plan"):
         received(replace(task, motion=None), team, settings)
+    # Files that are only flown in simulation need no certificate
+    requirements = replace(plan.motion.requirements, limits=ho.Limits(vertex_error=1e-3))
+    refused = plan.motion.replaced(requirements=requirements)
+    assert not ho.certify(refused).certified
+    simulated = received(replace(task, motion=refused), flown_team(team, settings), settings)
+    np.testing.assert_array_equal(simulated.positions, held.positions)
 
 
 def test_lees_law_feeds_forward_angular_velocity_of_uploads_only() -> None:

@@ -33,7 +33,7 @@ import math
 
 import numpy as np
 
-from hitchopt.geometry.vectors import cross_product, length, skew_matrix, unit
+from hitchopt.geometry.vectors import cross_product, length, skew_matrix
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.world import RigidBodies, inertia_of
@@ -215,7 +215,7 @@ class ClaspWorld:
     @property
     def vertices(self) -> Array:
         """Positions of the clasps (flights, clasps, 3) [m]."""
-        return np.moveaxis(self._of_nodes(self._positions)[:, :, self._clasps], 0, -1)
+        return self._of_nodes(self._positions)[:, :, self._clasps].transpose(1, 2, 0)
 
     @property
     def bodies(self) -> RigidBodies:
@@ -248,12 +248,13 @@ class ClaspWorld:
     @property
     def bearing(self) -> Array:
         """Contact forces of the clasps (flights, clasps) [N]: pulls of leg and edge ahead."""
-        vectors = self._positions @ self._network.differences
-        vectors = np.moveaxis(self._of_nodes(vectors), 0, -1)
-        pulls = np.maximum(self.tensions, 0.0)[..., None] * unit(vectors)
-        legs, edges = np.split(self._network.beside, 2)
+        vectors = self._positions.dot(self._network.differences)
+        _, chords, _ = self._sizes(vectors)
+        pulls = self._of_nodes(vectors) * (np.maximum(self.tensions, 0.0) / chords)
         ahead = self._network.at_clasps[0]
-        return length(pulls[:, edges[ahead]] - pulls[:, legs[ahead]])
+        legs, edges = (self._network.beside[start + ahead] for start in (0, self._slips.shape[1]))
+        forces = pulls[:, :, edges] - pulls[:, :, legs]
+        return np.asarray(np.sqrt(np.add.reduce(forces * forces, axis=0)))
 
     @property
     def shortest_leg(self) -> tuple[float, int]:

@@ -278,7 +278,7 @@ def uploaded(flight: Flight, team: Team, *, follows: bool) -> Commands:
     kind = Crazyswarm2()
     options = ExportOptions(kind.name, allow_slack=not hold_tension, longer_rests=False)
     with tempfile.TemporaryDirectory() as folder:
-        parts = export_flight(SavedPlan(flight), options, folder)
+        parts = export_flight(SavedPlan(flight), options, folder, simulated=True)
         curves = [_read(kind, part, team.drone_names) for part in parts]
     starts = [part.begins for part in parts]
     end = starts[-1] + max(curve.duration for curve in curves[-1])

@@ -315,12 +315,14 @@ def downwash(drones: Array, thrusts: Array) -> Array:
     """
     offset = drones[..., None, :, :] - drones[..., :, None, :]  # [below, above]
     x, y, depth = offset[..., 0], offset[..., 1], offset[..., 2]
+    forces, is_above = np.zeros_like(drones), depth > BODY_HALF_HEIGHT
+    if not np.logical_or.reduce(is_above, axis=None):
+        return forces
     half_width = 0.5 * BODY_RADIUS + SPREADING * np.maximum(depth, 0.0)
     # Over the variance of the momentum, the square of the speed
     half = 2.0 * math.log(2.0) / (half_width * half_width)
     share = BODY_RADIUS**2 * half * np.exp(-half * (x * x + y * y))
-    push = np.minimum(share, 1.0) * (depth > BODY_HALF_HEIGHT)
-    forces = np.zeros_like(drones)
+    push = np.minimum(share, 1.0) * is_above
     forces[..., 2] = -BLOCKED * np.add.reduce(push * thrusts[..., None, :], axis=-1)
     return forces
 
