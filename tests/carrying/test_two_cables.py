@@ -34,7 +34,13 @@ from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.planners.carrying.hinge import EDGE, PREFERRED_HINGE, clasp_height, needed_height
 from hitchopt.planners.carrying.holds import GripHold
-from hitchopt.planners.carrying.planner import MAX_PUSH, GraspState, MovePlanner, first_violated
+from hitchopt.planners.carrying.planner import (
+    MAX_PUSH,
+    GraspState,
+    MovePlanner,
+    first_violated,
+    lowest_untying_tension,
+)
 from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps
 from hitchopt.planners.carrying.straddle_planner import BESIDE, find_straddle
 from hitchopt.steps.straddling import Tie
@@ -569,6 +575,16 @@ def test_cables_are_untied_so_weakly_that_one_alone_does_not_move_what_stands() 
     tips = cup["mass"] * GRAVITY * cup["circle"] / 0.26
     assert pull == pytest.approx(MAX_PUSH * tips, rel=0.02)
     assert tips < cup["friction"] * cup["mass"] * GRAVITY
+
+
+def test_cables_are_tied_so_far_out_that_one_alone_can_leave_a_light_object_standing() -> None:
+    """The nearest clasps that keep distances would bend a cable more than a cup of 8 g stands."""
+    cup = {"circle": 0.08, "to": 0.3, "mass": 0.008, "friction": 0.5}
+    stated = problem([TIE], cup, **SMALL)
+    grip, requirements = tied_grip(stated)
+    planner = find_straddle("drum", grip, Tie("drum").tension_for(stated.team), requirements)
+    lowest = lowest_untying_tension(stated.team)
+    assert lowest <= MAX_PUSH * planner.path.hold.standing_tension < 1.5 * lowest
 
 
 @pytest.mark.parametrize("name", ["draw", "loosen"])

@@ -575,6 +575,11 @@ def tying_tension(team: Team) -> float:
     return min(tension, float(np.min(team.tension)))
 
 
+def lowest_untying_tension(team: Team) -> float:
+    """Return the lowest tension [N] with which cables are untied, as their weight permits."""
+    return _weight_at_clasp(team) / MAX_LOOSENED_SLOPE
+
+
 def untying_tensions(hold: GripHold) -> list[float]:
     """Return tensions [N] with which cables are untied from a standing object, in order of trial.
 
@@ -582,8 +587,7 @@ def untying_tensions(hold: GripHold) -> list[float]:
     permits that low a tension.
     """
     usual = tying_tension(hold.team)
-    lowest = _weight_at_clasp(hold.team) / MAX_LOOSENED_SLOPE
-    gentle = max(MAX_PUSH * hold.standing_tension, lowest)
+    gentle = max(MAX_PUSH * hold.standing_tension, lowest_untying_tension(hold.team))
     if gentle >= usual:
         return [usual]
     shares = np.arange(UNTYING_TENSIONS + 1) / UNTYING_TENSIONS

@@ -25,7 +25,13 @@ from hitchopt.objects.placing import poses_of
 from hitchopt.planners.candidates import if_feasible
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw, polynomials
-from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_violated
+from hitchopt.planners.carrying.planner import (
+    MAX_PUSH,
+    GraspState,
+    MovePlanner,
+    first_violated,
+    lowest_untying_tension,
+)
 from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.planners.carrying.straddle import MIN_BEND, OPEN, Place, PlaceChange, Straddle
 from hitchopt.planners.forming.prehitch import MIN_SEPARATION, longest_spans
@@ -39,7 +45,8 @@ SHORT_SHARES = (0.43, 0.4, 0.37, 0.34, 0.3, 0.26)
 distances from the object."""
 
 SCALES = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)
-"""Candidate distances of clasps to the object's centre as they are tied, over those of the grip."""
+"""Candidate distances of clasps to the object's centre as they are tied, over those of the grip.
+Those at which one cable alone would drag the object are tried last."""
 
 MIN_RADIAL = 0.05
 """[m] Length of legs in addition to ``limits.leg`` where clasps are tied far from the object."""
@@ -384,8 +391,16 @@ def find_straddle(
     is_tied = bool(np.any(hold.leg_differences))
     shares = SHORT_SHARES[:1] if is_tied else SHORT_SHARES
 
+    def drags(scale: float) -> bool:
+        """Return whether one cable alone, pulling as weakly as it can be untied, drags the object.
+
+        Farther out cables bend less, and pull less.
+        """
+        opened = replace(hold, around=centre + scale * aligned)
+        return MAX_PUSH * opened.standing_tension < lowest_untying_tension(team)
+
     def candidates() -> Iterator[tuple[float, StraddlePlanner]]:
-        for scale, share in product(SCALES, shares):
+        for scale, share in product(sorted(SCALES, key=drags), shares):
             around = centre + scale * aligned
             slack = team.cable_length - wraps_around(hold.body.section, around).lengths
             differences = hold.leg_differences if is_tied else (2.0 * share - 1.0) * slack
