@@ -82,7 +82,7 @@ MIN_EDGE_TIME_RATIO = 0.06  # Smallest time constant over the largest
 LOOSE_CHANGES = (0.8, 1.05)
 TAUT_CHANGES = (0.95, 1.002)  # The same of taut ropes
 
-CHANGING = 6  # Segments of a cable over those at each end that change with its length
+CHANGING = 6  # Segments of a cable over those at each end that become shorter with it
 MAX_STRAIN = 0.02  # Largest strain of a segment, beyond which ropes may pass through each other
 # Largest penetration of ropes over the diameter, beyond which they may pass through each other
 MAX_PENETRATION = 0.3
@@ -165,6 +165,7 @@ class World:
         self._moving_dofs: Index = np.concatenate([self.drone_dofs, self.drone_dofs + 3], axis=1)
         self._wrenches = np.zeros((2 * count, 6))
         self._edge_lengths = self.model.flexedge_length0.copy()
+        self._longest = np.zeros(len(ropes.lengths))  # beyond the first lengths, so far [m]
         self._end_shares = np.concatenate([_end_shares(count) for count in ropes.segments])
         self._held = np.ones(len(self.edge_cables), dtype=np.bool_)  # edges of constant length
         self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
@@ -216,12 +217,15 @@ class World:
         elements[edges] = elements[edges + [1, -1]]
 
     def shorten(self, by: Array) -> None:
-        """Let cables be shorter than at first, by lengths (n,) [m], near their drones.
+        """Let cables be shorter than at first, by lengths (n,) [m]; negative for longer ones.
 
-        Shorter segments along an object's sides would catch at its corners.
+        They become longer everywhere, as their bends need, but shorter near their drones alone:
+        shorter segments along an object's sides would catch at its corners.
         """
-        shorter = self._end_shares * by[self.edge_cables]
-        self.model.flexedge_length0[:] = self._edge_lengths - shorter
+        self._longest = np.maximum(self._longest, -by)
+        longer = (self._longest / self.ropes.segments)[self.edge_cables]
+        shorter = self._end_shares * (self._longest + by)[self.edge_cables]
+        self.model.flexedge_length0[:] = self._edge_lengths + longer - shorter
 
     @property
     def held(self) -> NDArray[np.bool_]:
@@ -310,7 +314,7 @@ class InvalidRunError(HitchoptError):
 
 
 def _end_shares(segments: int) -> Array:
-    """Return the share (segments,) that each segment has in a change of a cable's length."""
+    """Return the share (segments,) of each segment in a shortening of its cable."""
     at_end = max(1, segments // CHANGING)
     changes = np.zeros(segments)
     changes[:at_end] = changes[-at_end:] = 1.0
