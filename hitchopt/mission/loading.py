@@ -230,6 +230,8 @@ def _with_home(error: InputError, form: Mapping[str, Key]) -> InputError:
         remedy = f"write {name} at the top level of the file"
     elif home := _home_of(name, error.key, form):
         remedy = f"write it as {home}.{name}"
+        if home.endswith(".quadrotor"):
+            remedy += f", with a model by name as {{model: NAME, {name}: …}}"
     else:
         return error
     return InputError(error.key, error.value, error.bound, remedy, error.place)

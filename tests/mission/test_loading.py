@@ -211,7 +211,11 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("team.cable_length", "2024-01-01", "a list; use a plain number in SI units (Lengths of"),
     ("title", "x" * 201, r": must be at most 200 characters long; shorten it"),
     ("mission", {"hold": {"seconds": 1}}, "a list of steps; begin each step with a dash: - hold:"),
-    ("team.mass", 0.14, "unknown key; write it as team.quadrotor.mass"),
+    (
+        "team.mass",
+        0.14,
+        "write it as team.quadrotor.mass, with a model by name as {model: NAME, mass: …}",
+    ),
     ("limits.radius", 0.1, "unknown key; write it as separation.radius"),
     ("mission[2].morph.speed", 0.5, "unknown key; write it as limits.speed"),
     ("team.limits", {"speed": 0.5}, "unknown key; write limits at the top level of the file"),
