@@ -18,6 +18,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.values import Array, Indices
+from hitchopt.verify.tying import bent_cables
 from tests.helpers.groups import part
 from tests.helpers.plans import planned
 from tests.helpers.second_opinions import ROWS, opinion_of
@@ -277,6 +278,12 @@ LIES = [
 def test_parts_as_they_are_are_proven(name: str, tmp_path: Path) -> None:
     assert certify(parts(name), reports=()).certified
     assert {row.verdict for row in opinion_of(parts(name), tmp_path)} == {"proven"}
+
+
+@pytest.mark.parametrize("name", ["tie", "untie"])
+def test_bent_cables_as_they_are_are_proven(name: str, tmp_path: Path) -> None:
+    rows = opinion_of(parts(name), tmp_path, bent_cables)
+    assert {row.verdict for row in rows} == {"proven"}
 
 
 @pytest.mark.parametrize(
