@@ -266,6 +266,8 @@ class TestReport:
         for name in ("x", "width"):
             assert strip[name] == pytest.approx(plot[name], abs=1.5)
         assert slider["x"] + 8 == pytest.approx(strip["x"], abs=1.5)  # a thumb's half width
+        table = report.locator("#checks").bounding_box()  # with its verdicts within the page
+        assert table["x"] + table["width"] <= 1190
         speed = tied_plan().certificate["speed"]
         share = report.evaluate(
             "getComputedStyle(document.querySelector(\"#checks [data-check='speed'] .used\"))"

@@ -90,7 +90,7 @@ class Page {
       const check = this.data.checks[i];
       const unit = ["1", "", "ratio", "number"].includes(check.unit) ? "" : ` ${check.unit}`, sign = check.sense === "min" ? "≥" : "≤";
       const limit = check.limit === null ? "–" : `${sign} ${significant(check.limit)}`, where = check.where.slice(0, 3).map(unbroken).join(", ") + (check.where.length > 3 ? " …" : "");
-      const row = addRow(body, [[title], [significant(check.worst) + unit, "n"], [limit, "n"], [where], [check.holds ? "✓" : "NO", check.holds ? "yes" : "no"]], () => this.showCheck(i));
+      const row = addRow(body, [[title], [significant(check.worst) + unit, "n"], [limit, "n"], [where, check.where.some((name) => name.length > 12) ? "long" : ""], [check.holds ? "✓" : "NO", check.holds ? "yes" : "no"]], () => this.showCheck(i));
       row.dataset.check = check.name;
       if (check.limit > 0) {
         row.cells[1].classList.add("used");
