@@ -118,7 +118,7 @@ def test_resting_drones_take_two_rows_and_no_bytes(tmp_path: Path) -> None:
 def test_a_drone_has_memory_for_as_many_bytes_as_are_planned(axes: int) -> None:
     coefficients = np.zeros((1, 2, 3, DEGREE + 1))
     coefficients[0, 1, :axes, -1] = 1.0
-    most = CompressedBytes().max_pieces(PiecewisePolynomial([0.0, 1.0], coefficients))
+    most = CompressedBytes().max_pieces(PiecewisePolynomial(np.array([0.0, 1.0]), coefficients))
     points = np.zeros((most + 1, 3, DEGREE + 1), dtype=np.int64)
     points[:, :axes, 1:] = 1
     seconds = np.full(most + 1, 1000)

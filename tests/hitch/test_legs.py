@@ -14,6 +14,7 @@ from hitchopt import Arena, Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch.pairs import CROSSING, SEPARATION, TautBodies
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.slack_split import LegBodies, LegTask
 from hitchopt.hitch.team import layout_of
 from hitchopt.planners.ends import RolledLegs, split_hitch
 from hitchopt.steps.keys import slack_split
@@ -163,6 +164,18 @@ def test_large_regular_hitches_get_the_smallest_roll_that_clears_their_edges(n: 
     assert margin(h) >= 1.5 - 1e-6
     assert clearance(h.roll[0]) == pytest.approx(0.15, abs=2e-3)
     assert margin(Hitch.balanced(team, polygon)) < 1.0
+
+
+@pytest.mark.parametrize("density", [0.0, 0.02])
+def test_legs_are_split_for_drones_where_the_hitch_has_them(density: float) -> None:
+    polygon = random_convex_polygon(4, 1.2, np.random.default_rng(2))
+    lengths = float(np.max(polygon.edge_lengths)) + np.array([0.8, 0.85, 0.9, 0.95])
+    team = Team(4, lengths, tension=0.9, cable_density=density)
+    hitch = Hitch(team, polygon, 0.0, 0.45 * (lengths - polygon.edge_lengths))
+    task = LegTask.at_rest(team, polygon, hitch.q_legs, Requirements(), 1.5)
+    nodes = LegBodies.within_bounds(task).nodes(hitch.q_legs[None])[4:]
+    sizes = nodes.shape[-1]
+    np.testing.assert_allclose(nodes, hitch.drones[:, :sizes], atol=1e-4)
 
 
 @pytest.mark.slow
