@@ -64,13 +64,13 @@ SHORT_METHODS = {
 OURS = ("straight", "routed", "optimised")
 
 SHARES = {
-    "C1": ("straight", "routed"),
-    "C2": ("optimised",),
-    "C3": ("ipopt",),
-    "C4": ("seeded",),
-    "C5": ("rockit",),
+    1: ("straight", "routed"),
+    2: ("optimised",),
+    3: ("ipopt",),
+    4: ("seeded",),
+    5: ("rockit",),
 }
-"""Methods by the colours of shares of solved pairs; a pair is flown straight or routed."""
+"""Methods by the index of the colour of their share of solved pairs; a pair is flown straight or routed."""
 
 MARKERS = {
     "straight": "v",
@@ -481,7 +481,6 @@ def draw(store: Store) -> None:
     mpl.use("agg")
     from matplotlib import pyplot as plt
 
-    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=COLOURS)
     middles = np.array([np.mean(sizes) for sizes in SIZES])
     figure, (time_axes, share_axes) = plt.subplots(
         2, 1, figsize=(WIDTH, 5.4), layout="constrained", sharex=True, height_ratios=(3, 2)
@@ -494,14 +493,14 @@ def draw(store: Store) -> None:
         medians = np.array([np.median(seconds[k]) for k in solved])
         highest = np.array([np.percentile(seconds[k], 95) for k in solved])
         spread = np.stack([np.zeros(len(solved)), highest - medians])
-        style = {"color": f"C{number}", "fmt": MARKERS[method], "capsize": 3}
+        style = {"color": COLOURS[number], "fmt": MARKERS[method], "capsize": 3}
         time_axes.errorbar(places[solved], medians, spread, label=name, **style)
     for colour, methods in SHARES.items():
         groups = [store.of(*methods, sizes=sizes) for sizes in SIZES]
         tried = [k for k, group in enumerate(groups) if group]
         shares = [100.0 * np.mean([each.solved for each in groups[k]]) for k in tried]
         # Our shares coincide: hollow marks leave those below visible
-        style = {"marker": MARKERS[methods[-1]], "color": colour, "fillstyle": "none"}
+        style = {"marker": MARKERS[methods[-1]], "color": COLOURS[colour], "fillstyle": "none"}
         size = 10.0 if methods[-1] == "routed" else 6.0
         share_axes.plot(middles[tried], shares, markersize=size, **style)
     time_axes.set(yscale="log", ylabel="processor time [s]\n(median to 95 %)")

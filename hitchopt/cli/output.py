@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -140,13 +141,17 @@ def echo(text: str, *, err: bool = False) -> None:
         text = CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
         text = text.encode(encoding, "replace").decode(encoding)
         for pattern, style in STYLES:
-            text = pattern.sub(lambda match, style=style: click.style(match[0], **style), text)
+            text = pattern.sub(partial(_styled, style), text)
         click.echo(text, err=err)
     except BrokenPipeError:
         # The reader has exited (`| head`); the exit code must not change.
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, stream.fileno())
         os.close(null)
+
+
+def _styled(style: Mapping[str, Any], match: re.Match[str]) -> str:
+    return click.style(match[0], **style)
 
 
 def quantities(title: str, values: Mapping[str, object]) -> str:
