@@ -10,6 +10,7 @@ import shutil
 import struct
 import zipfile
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -590,6 +591,14 @@ def test_polynomials_begin_after_one_line_of_whatever(
     assert said(found) == ", ".join(filter(None, ["error header" if fault else "", frame]))
     edit(path, rows(lambda s: s[-2:] + s[-1:]))
     assert report(path).facts[0].pieces == 2  # the first is skipped
+
+
+@pytest.mark.parametrize(("unit", "is_told"), [(1.0, False), (1e-3, True), (3600.0, True)])
+def test_times_in_other_units_than_seconds_are_told(unit: float, is_told: bool) -> None:
+    """A flight of 20 s at 50 Hz, by its times since their start."""
+    times = np.arange(0.0, 20.0, 0.02) / unit
+    with pytest.raises(FileError, match="not seconds of a flight") if is_told else nullcontext():
+        contents.check_times(times)
 
 
 @pytest.mark.parametrize(
