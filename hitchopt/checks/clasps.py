@@ -602,7 +602,7 @@ EQUILIBRIUM = CheckRule(
     bodies=(("clasps",),),
     is_error=True,
     proves="the largest force residual at a clasp, over the smaller tension; the excess of a leg's "
-    r"pull, over its edge's, beyond $e^{\pm\mu\theta}$ (friction); infinite if cables do not press "
+    r"pull, over its edge's, beyond $e^{\pm\mu\beta}$ (friction); infinite if cables do not press "
     "on each other",
     unproven="stiffness: vertices stay within millimetres only while drones are in place",
 )

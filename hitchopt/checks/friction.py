@@ -1,7 +1,8 @@
 """Friction at clasps: the range of a leg's pull, which checks ``equilibrium`` and ``tension`` use.
 
-A cable that bends around another one by the angle θ pulls on its leg between ``e^{-μ θ}`` and
-``e^{μ θ}`` times as much as on its edge, μ the team's ``cable_friction``. The excess of a pull over
+A cable that turns about another one by the angle θ pulls on its leg between ``e^{-μ β}`` and
+``e^{μ β}`` times as much as on its edge, with its bend ``β = π sin(θ/2)`` (``hitch.twists``) and
+the team's ``cable_friction`` μ. The excess of a pull over
 this range is a residual of ``equilibrium``; in ``tension``, the range is that much wider for legs.
 """
 
@@ -12,6 +13,7 @@ import numpy as np
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.rule import WorstCase
 from hitchopt.checks.spans import ROUNDING, bent_edges, cached, without_shared_zeros
+from hitchopt.hitch.twists import bend
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed
@@ -33,19 +35,19 @@ class FrictionLegs(Drones):
 
     @lazy
     def friction_ratio(self) -> Array:
-        """(spans,) ``e^{μ θ}``, θ the smallest wrap angle of the cable at its clasp."""
+        """(spans,) ``e^{μ β}``, β the smallest bend of the cable at its clasp."""
         leaving, arriving = bent_edges(self.source)
         edges = np.stack([leaving, -arriving], axis=2).reshape(len(leaving), -1, *leaving.shape[2:])
         edge_directions = Enclosed(self.read(edges), self.noise).direction
-        cosine = self.along.dot(edge_directions).lower.value - ROUNDING
-        wrap_angle = np.pi - np.arccos(np.clip(cosine, -1.0, 1.0))
-        return np.asarray(np.exp(self.source.team.friction * wrap_angle))
+        opposite = self.along.dot(edge_directions).lower.value - ROUNDING  # -cos θ
+        bends = bend(-np.clip(opposite, -1.0, 1.0))
+        return np.asarray(np.exp(self.source.team.friction * bends))
 
 
 def leg_excess(spans: FrictionLegs) -> Bound:
     """Return the excess of a leg's pull over the range of friction, relative to the tension.
 
-    The range is from ``e^{-μ θ}`` to ``e^{μ θ}`` times the edge's pull. A quotient of polynomials
+    The range is from ``e^{-μ β}`` to ``e^{μ β}`` times the edge's pull. A quotient of polynomials
     with a positive divisor lies between the quotients of their coefficients.
     """
     pulls, tensions = _leg_and_edge(spans.source)

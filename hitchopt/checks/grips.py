@@ -29,6 +29,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.holding import YawTerms, least_stiffness_of_turn
+from hitchopt.hitch.twists import bend
 from hitchopt.motion.loads import held_pieces, tautness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, TAUT_STATES, HoldBy, Motion
 from hitchopt.objects import Section, SolidObject
@@ -138,7 +139,7 @@ class Gripped(Held):
         turn_at_clasp = np.max(_angles(-self.legs, self.chords * SIGNS).high, axis=-1)
         leg_pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
         smaller_pulls = np.min(leg_pulls.reshape(len(self), -1, 2), axis=-1)
-        tensions = smaller_pulls * np.exp(-self.source.team.friction * turn_at_clasp)
+        tensions = smaller_pulls * np.exp(-self.source.team.friction * bend(np.cos(turn_at_clasp)))
         before = select(self.chords, 0).xy
         behind = select(self.chords, 1).xy
         wraps = _angles(before, behind).low

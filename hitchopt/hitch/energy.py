@@ -16,8 +16,8 @@ arcs are constant below that tension.
 
 Drones add ``½ k (x - x_set)² - F·x``, with different horizontal and vertical stiffness k, and loads
 ``-w·x``. For weightless cables the energy is convex and its minimum global. With friction at the
-clasps the tension of a leg is ``e^{μθ}`` times that of its edge, θ the angle of the bend: forces
-balance, but there is no energy.
+clasps the tension of a leg is ``e^{μβ}`` times that of its edge, with the bend β of ``twists``:
+forces balance, but there is no energy.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.team import Team
+from hitchopt.hitch.twists import bend
 from hitchopt.values import Array, Indices
 
 AXIAL_STIFFNESS = 1e4
@@ -206,6 +207,9 @@ class HitchEnergy:
     slack_tension: Array
     """(S, n) [N], tension at which a cable becomes slack."""
 
+    alike: bool = False
+    """Whether both cables of every clasp slide alike, and so share its friction."""
+
     @property
     def drones(self) -> int:
         """Number of drones, the first nodes."""
@@ -244,7 +248,7 @@ class HitchEnergy:
         excess_tension = T - self.reference
         energies = energies - 0.5 * self.compliance * excess_tension * excess_tension
         if np.any(friction):
-            pulls[..., 0::2, :] *= np.exp(friction * bends_of(directions))[..., None]
+            pulls[..., 0::2, :] *= np.exp(friction * self._bends(directions))[..., None]
         on_ends = np.zeros(ends.shape, dtype=pulls.dtype)
         on_ends[..., 1:, :] += pulls
         on_ends[..., :-1, :] -= pulls
@@ -324,9 +328,14 @@ class HitchEnergy:
         )
 
     def bends(self, positions: Array) -> Array:
-        """Return angles (S, n, 2) [rad] between each edge and its legs, zero without a leg."""
-        angles = bends_of(self.spans(positions[:, self.nodes]).directions)
-        return np.where(self.exist[:, ::2], angles, 0.0)
+        """Return the bends (S, n, 2) [rad] of cables at both clasps, zero without a leg."""
+        bends = self._bends(self.spans(positions[:, self.nodes]).directions)
+        return np.where(self.exist[:, ::2], bends, 0.0)
+
+    def _bends(self, directions: Any) -> Any:
+        """Return the bends (…, 2) [rad] between spans, times shares of friction if ``alike``."""
+        bends = bends_of(directions)
+        return bends * (bends / np.pi) if self.alike else bends
 
     def leg_pulls(self, positions: Array) -> Array:
         """Return tensions of legs along them (S, n, 2, 3) [N], toward the end of the cable."""
@@ -523,7 +532,12 @@ def energy_of(
 
 
 def bends_of(directions: Any) -> Any:
-    """Return angles (…, 2) [rad] between consecutive spans with directions (…, 3, 3)."""
-    cosines = np.sum(directions[..., 1:, :] * directions[..., :-1, :], axis=-1)
+    """Return the bends (…, 2) [rad] between consecutive spans with directions (…, 3, 3)."""
+    cosines = cosines_of(directions)
     valid = np.abs(cosines.real) < 1.0
-    return np.arccos(np.where(valid, cosines, np.sign(cosines.real)))
+    return bend(np.where(valid, cosines, np.sign(cosines.real)))
+
+
+def cosines_of(directions: Any) -> Any:
+    """Return cosines (…, 2) of the angles between consecutive spans with directions (…, 3, 3)."""
+    return np.sum(directions[..., 1:, :] * directions[..., :-1, :], axis=-1)

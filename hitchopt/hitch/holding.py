@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hitchopt.drones.quadrotor import GRAVITY, Quadrotor
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import cross, dot, first_smallest, left_of, length, turn, unit
+from hitchopt.hitch.twists import bend, bend_together
 from hitchopt.objects import Section
 from hitchopt.values import Array, Indices
 
@@ -224,7 +225,7 @@ class Grip(OneLine):
         """
         angles = self.wraps.clasp_angles
         larger_angles = np.maximum(angles, np.roll(angles, -1, axis=-1))
-        tensions = self.tension * np.exp(-self.clasp_friction * larger_angles)
+        tensions = self.tension * np.exp(-self.clasp_friction * bend(np.cos(larger_angles)))
         return np.asarray(friction * np.sum(tensions * self.wraps.angles, axis=-1))
 
     @property
@@ -499,19 +500,19 @@ MIN_FRICTION_ANGLE = 1e-12
 def _other_half(friction: Array, angle: Array) -> Array:
     """Return half of the angle (…) [rad] between legs from that between edges, or the reverse.
 
-    While cables slide on each other, ``cos x = e^{-μ θ} cos(β/2)``: 2x is the angle on the side
-    with the higher tension, β that on the other side, and cables turn by ``θ = β/2 + x``.
+    While cables slide alike, ``cos x = e^{-μ γ} cos(β/2)``: 2x is the angle on the side with the
+    higher tension, β that on the other side, and γ the ``bend_together`` for turns by ``β/2 + x``.
     """
     half = 0.5 * angle
     other_half = half
     for _ in range(FIXED_POINT_STEPS):
-        tension_ratio = np.exp(-friction * (half + other_half))
+        tension_ratio = np.exp(-friction * bend_together(half + other_half))
         other_half = np.arccos(np.clip(tension_ratio * np.cos(half), -1.0, 1.0))
     return other_half
 
 
 def edge_ratios(friction: Array, edges: Array) -> Array:
-    """Return tensions of edges over those of their legs (…, n) while cables slide at clasps.
+    """Return tensions of edges over those of their legs (…, n) while all cables slide alike.
 
     The smaller friction of a cable's two clasps applies, as a smooth minimum.
 
@@ -522,7 +523,7 @@ def edge_ratios(friction: Array, edges: Array) -> Array:
     """
     friction = friction[..., None]
     turns = 0.5 * edges + _other_half(friction, edges)
-    exponents = np.abs(friction) * turns + MIN_FRICTION_ANGLE
+    exponents = np.abs(friction) * bend_together(turns) + MIN_FRICTION_ANGLE
     of_next_clasp = np.roll(exponents, -1, axis=-1)
     mean_power = 0.5 * (exponents**8 + of_next_clasp**8)
     smaller = exponents * of_next_clasp / mean_power**0.125
@@ -532,7 +533,7 @@ def edge_ratios(friction: Array, edges: Array) -> Array:
 def residual_grip(legs: Array, tension: Array, clasp_friction: float, friction: float) -> float:
     """Return the largest slip load [N] of a hitch that has opened as far as friction permits.
 
-    Cables slide on each other until friction balances edges and legs. The excess of the angles
+    All cables slide alike until friction balances edges and legs. The excess of the angles
     between edges over those of a polygon is the angle by which edges still wrap the object.
 
     Parameters
@@ -547,7 +548,7 @@ def residual_grip(legs: Array, tension: Array, clasp_friction: float, friction: 
     between_legs = np.arccos(np.clip(cosines, -1.0, 1.0))
     half_between_edges = _other_half(np.asarray(clasp_friction), between_legs)
     turns = half_between_edges + 0.5 * between_legs
-    largest_ratio = float(np.max(np.exp(clasp_friction * turns)))
+    largest_ratio = float(np.max(np.exp(clasp_friction * bend_together(turns))))
     angles_of_polygon = (len(legs) - 2) * math.pi
     wrapped = max(2.0 * float(np.sum(half_between_edges)) - angles_of_polygon, 0.0)
     return friction * float(np.max(tension)) * largest_ratio * wrapped

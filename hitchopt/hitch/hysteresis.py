@@ -1,36 +1,31 @@
 """Where friction holds the vertices of a hitch whose cables slide back and forth.
 
 A cable sticks at its clasp as long as the coefficients x and y of both legs there, ``ln(T_leg /
-T_edge)`` over the angle by which the cable bends, are within
+T_edge)`` over the bends of their cables, are within the ellipse of ``twists``,
 
-    x² + y² + 2 x y cos α ≤ (μ sin α)²,
+    x² + y² + 2 x y cos θ ≤ (μ sin θ)²,
 
-where α is the angle at which both cables cross. This follows from one contact whose friction
-opposes the relative velocity of both. Slips maximise the dissipation: they are normal to the
-ellipse. Ellipses of smaller friction are inside those of larger friction, and so are the rests.
+where θ is the angle at which both cables cross. Slips maximise the dissipation: they are normal to
+the ellipse. Ellipses of smaller friction are inside those of larger friction, and so are the rests.
 
 Forces balance at every time, so rests depend on the order of the drones' positions, not on their
 speed. In each step the leg lengths change by slips s, linear in the coefficients. With ``x + y =
-2 μ a u`` and ``x - y = 2 μ b v``, where a and b are the sine and cosine of α/2, the ellipse becomes
+2 μ a u`` and ``x - y = 2 μ b v``, where a and b are the sine and cosine of θ/2, the ellipse becomes
 the unit disc, and the step ends where s, in these parts, is normal to the discs: a variational
 inequality that projected gradient steps solve.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from hitchopt.hitch.energy import HitchEnergy, energy_of
+from hitchopt.hitch.energy import HitchEnergy, cosines_of, energy_of
 from hitchopt.hitch.rest_errors import loops_of
 from hitchopt.hitch.team import Layout, Team
+from hitchopt.hitch.twists import half_axes
 from hitchopt.values import Array
-
-CROSSING = math.radians(60.0)
-"""[rad] Angle α, that of equilateral triangles. In ``simulate --cables clasps`` it is the angle θ
-by which edges turn, and cables bend by ``π sin(θ/2)``; here they bend by θ."""
 
 STICKING_STEPS = 12
 """Newton steps to the balance without slips."""
@@ -72,7 +67,6 @@ def held_vertices(team: Team, samples: Mapping[str, Array], frictions: Array, he
     """
     count = len(frictions)
     loops = loops_of(team)
-    of_parts = frictions[:, None, None] * _coefficients_of_parts(team.layout)
     parts = np.zeros((count, len(team.layout.clasps), 2))
     parts[..., 0] = held[:, None]
     nodes = planned = np.zeros(0)
@@ -81,11 +75,14 @@ def held_vertices(team: Team, samples: Mapping[str, Array], frictions: Array, he
         sample = {name: np.repeat(x[i : i + 1], count, axis=0) for name, x in samples.items()}
         energy = energy_of(team, loops, sample)
         if not vertices:
-            nodes = _balanced(energy, energy.at_rest(), _friction(of_parts, parts), FIRST_STEPS)
+            nodes = energy.at_rest()
+            of_parts = _coefficients_of_parts(team.layout, energy, nodes, frictions)
+            nodes = _balanced(energy, nodes, _friction(of_parts, parts), FIRST_STEPS)
         else:
             lengths = _leg_lengths(energy, nodes)
             nodes = nodes + energy.start - planned
             for _ in range(ROUNDS):
+                of_parts = _coefficients_of_parts(team.layout, energy, nodes, frictions)
                 nodes, parts = _slid(energy, nodes, lengths, of_parts, parts)
         planned = energy.start
         residuals = np.max(np.abs(energy.slopes(nodes, _friction(of_parts, parts))), axis=(1, 2))
@@ -94,14 +91,22 @@ def held_vertices(team: Team, samples: Mapping[str, Array], frictions: Array, he
     return np.array(vertices)
 
 
-def _coefficients_of_parts(layout: Layout) -> Array:
-    """Return the matrix (2n, 2 clasps) from parts u, v of all clasps to coefficients over μ."""
+def _coefficients_of_parts(
+    layout: Layout, energy: HitchEnergy, nodes: Array, frictions: Array
+) -> Array:
+    """Return matrices (F, 2n, 2 clasps) from parts u, v of all clasps to coefficients.
+
+    The clasps' angles are those at nodes (F, nodes, 3) [m], means of both cables'.
+    """
+    cosines = cosines_of(energy.spans(nodes[:, energy.nodes]).directions).reshape(len(nodes), -1)
+    ahead, behind = 2 * layout.ahead, 2 * layout.behind + 1
+    alike, opposite = half_axes(np.clip(0.5 * (cosines[:, ahead] + cosines[:, behind]), -1.0, 1.0))
     clasps = np.arange(len(layout.clasps))
-    matrix = np.zeros((2 * layout.robots, 2 * len(clasps)))
-    for legs, sign in ((2 * layout.ahead, 1.0), (2 * layout.behind + 1, -1.0)):
-        matrix[legs, 2 * clasps] = math.sin(0.5 * CROSSING)
-        matrix[legs, 2 * clasps + 1] = sign * math.cos(0.5 * CROSSING)
-    return matrix
+    matrices = np.zeros((len(nodes), 2 * layout.robots, 2 * len(clasps)))
+    for legs, sign in ((ahead, 1.0), (behind, -1.0)):
+        matrices[:, legs, 2 * clasps] = alike
+        matrices[:, legs, 2 * clasps + 1] = sign * opposite
+    return np.asarray(frictions[:, None, None] * matrices)
 
 
 def _friction(of_parts: Array, parts: Array) -> Array:

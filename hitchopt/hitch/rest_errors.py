@@ -25,9 +25,11 @@ from hitchopt.hitch.energy import (
     CABLE_COORDINATES,
     CableSlopes,
     HitchEnergy,
+    cosines_of,
     energy_of,
 )
 from hitchopt.hitch.team import Errors, Team
+from hitchopt.hitch.twists import sliding_parts
 from hitchopt.values import Array
 
 REMAINDER_FACTOR = 2.0
@@ -242,7 +244,7 @@ def _derivatives_of_points(energy: HitchEnergy, x: Array) -> Array:
     by_lengths, by_setpoints, _, by_ratios = np.split(
         by_errors, [n, n + drones, n + 2 * drones], axis=1
     )
-    # By the capstan equation, a ratio's logarithm is friction times the angle at the vertex.
+    # By the capstan equation, a ratio's logarithm is friction times the bend at the vertex.
     by_friction = energy.bends(x)[0].reshape(-1, 1) * by_ratios
     return np.concatenate([by_lengths, by_setpoints, by_friction], axis=1)
 
@@ -283,6 +285,21 @@ def settled(
     if np.any(friction):
         nodes = energy.rest_with_friction(nodes, friction)
     return np.asarray(nodes[:, energy.points])
+
+
+def sliding_shares(team: Team, samples: Mapping[str, Array], slides: Array) -> Array:
+    """Return the shares of friction (n, 2) of cables whose legs grow in proportion to ``slides``.
+
+    Those are (n, 2); the hitch is at rest (S = 1). Legs that do not exist have none.
+    """
+    energy = energy_of(team, loops_of(team), samples)
+    turns = cosines_of(energy.spans(energy.at_rest()[:, energy.nodes]).directions)[0].ravel()
+    legs = np.stack([2 * team.layout.ahead, 2 * team.layout.behind + 1], axis=-1)
+    cosine = np.clip(np.mean(turns[legs], axis=-1), -1.0, 1.0)
+    along, size = sliding_parts(cosine, slides.ravel()[legs])
+    shares = np.zeros(slides.size)
+    shares[legs] = along / np.where(size > 0.0, size, 1.0)[:, None]
+    return shares.reshape(slides.shape)
 
 
 def longest_period(team: Team, samples: Mapping[str, Array]) -> float:

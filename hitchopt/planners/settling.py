@@ -21,7 +21,7 @@ from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.rest_errors import longest_period, planned_rest, settled
+from hitchopt.hitch.rest_errors import longest_period, planned_rest, settled, sliding_shares
 from hitchopt.motion.motion import SETTLE, Motion, Phase, concatenated
 from hitchopt.motion.states import states_at
 from hitchopt.planners.along import straight_plan
@@ -44,7 +44,7 @@ DECAY = 0.75
 friction that needs these leaves vertices farther off."""
 
 FIRST = 0.9
-"""Friction of the first over-travel over that of a cable that slides alone."""
+"""Mean friction of the first over-travel over that of cables that slide alone."""
 
 CORRECTIONS = 2
 """Corrections of the sizes of over-travels, after which vertices are within 5 mm of their goals."""
@@ -69,10 +69,6 @@ in place, a third cable held the farthest one 4 cm off."""
 
 MAX_JERK = 8.0
 """[m/s³] Largest jerk of drones."""
-
-BOTH_SLIDE = 0.5
-"""Share of the friction of one cable in that of two that slide at one clasp: the sine of half the
-angle at which they cross there, of 60° in equilateral triangles."""
 
 
 def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) -> StepPlan:
@@ -142,9 +138,13 @@ class Settling:
 
     @cached_property
     def slides(self) -> Array:
-        """(n, 2), signs of the slides toward the legs since the start, or outward without one."""
+        """(n, 2), shares of friction of cables that slid since the start, or outward without one.
+
+        Both cables of a clasp share its friction; that of one that slides alone is 1.
+        """
         end, start = self.task.hitch, self.start
-        return np.ones_like(end.legs) if start is None else np.sign(end.legs - start.legs)
+        slid = np.ones_like(end.legs) if start is None else end.legs - start.legs
+        return sliding_shares(end.team, self.at_rest, slid)
 
     @cached_property
     def bands(self) -> Array:
@@ -156,7 +156,7 @@ class Settling:
         """
         end, start = self.task.hitch, self.start
         both_ways = {name: np.repeat(values, 2, axis=0) for name, values in self.at_rest.items()}
-        against, along = self._resting(both_ways, np.array([BOTH_SLIDE, -BOTH_SLIDE]))
+        against, along = self._resting(both_ways, np.array([1.0, -1.0]))
         bands = np.zeros_like(end.polygon.vertices)
         clasps = end.team.layout.clasps
         bands[clasps] = (along - against)[clasps, :2]
@@ -169,18 +169,18 @@ class Settling:
         widths = np.abs(dot(bands, directions)) * (distances >= FOLLOWING * farthest)
         return np.asarray(widths[:, None] * directions)
 
-    def _resting(self, rests: dict[str, Array], shares: Array) -> Array:
-        """Return vertices (S, points, 3) [m] of rests (S, …) with shares (S,) of the friction.
+    def _resting(self, rests: dict[str, Array], parts: Array) -> Array:
+        """Return vertices (S, points, 3) [m] of rests (S, …) with parts (S,) of the friction.
 
-        It acts against slides; a negative share acts in their direction.
+        It acts against slides; a negative part acts in their direction.
         """
         team = self.task.hitch.team
         return settled(
             team,
             rests,
-            lengths=np.zeros((len(shares), team.robots)),
-            offsets=np.zeros((len(shares), team.drones, 3)),
-            friction=(team.friction * shares)[:, None, None] * self.slides,
+            lengths=np.zeros((len(parts), team.robots)),
+            offsets=np.zeros((len(parts), team.drones, 3)),
+            friction=(team.friction * parts)[:, None, None] * self.slides,
         )
 
     @property
@@ -226,7 +226,9 @@ class Settling:
     def over_travels(self, share: float) -> StepPlan:
         """Return the certified plan of the over-travels from a share of the first friction on."""
         goal = self.task.hitch
-        hitches = self._beyond(self._frictions(share * FIRST))
+        slid = self.slides[self.slides != 0.0]
+        together = float(np.sqrt(np.mean(slid**2)))
+        hitches = self._beyond(self._frictions(share * FIRST / together))
         size = max(float(np.max(length(each.vertices - goal.vertices))) for each in hitches)
         ends = [*hitches, goal, goal]
         moves = plan_in_sequence([partial(self._move, end) for end in ends], self._smooth_task)
@@ -249,24 +251,24 @@ class Settling:
         return self.task.within(replace(requirements, limits=smooth), self.task.before)
 
     def _frictions(self, first: float) -> Array:
-        """Return the shares of friction of over-travels, which decay from the first; none is above.
+        """Return the parts of friction of over-travels, which decay from the first; none is above.
 
         Half of them are against the friction of cables that slide alone, and half against that of
-        two that slide at a clasp. The last one is not above that of the least friction, which does
+        cables that slide together. The last one is not above that of the least friction, which does
         not yield to smaller ones.
         """
         team = self.task.hitch.team
-        last = BOTH_SLIDE * team.least_friction / team.friction
-        count = math.ceil(BOTH_SLIDE * self.width / STEP)
+        last = team.least_friction / team.friction
+        count = math.ceil(0.5 * self.width / STEP)
         steps = np.arange(count, 0, -1) / count
-        together = BOTH_SLIDE * steps**DECAY
-        alone = BOTH_SLIDE + (first - BOTH_SLIDE) * steps**2
-        shares = np.concatenate([alone, together])
-        before = np.append(np.inf, shares[:-1])
-        return np.asarray(shares[(shares <= first) & (before > last)])
+        together = steps**DECAY
+        alone = 1.0 + (first - 1.0) * steps**2
+        parts = np.concatenate([alone, together])
+        before = np.append(np.inf, parts[:-1])
+        return np.asarray(parts[(parts <= first) & (before > last)])
 
-    def _beyond(self, shares: Array) -> list[Hitch]:
-        """Return hitches beyond the goal on alternating sides, one by share of the friction.
+    def _beyond(self, parts: Array) -> list[Hitch]:
+        """Return hitches beyond the goal on alternating sides, one by part of the friction.
 
         Friction stops vertices on their way there at the goal. Its band is wider on one side, so
         vertices that over-travelled by the same sizes would end off the goal.
@@ -274,8 +276,8 @@ class Settling:
         goal, requirements = self.task.hitch, self.task.requirements
         widest = int(np.argmax(length(self.bands)))
         directions = self.bands / self.width
-        signed = shares * (-1.0) ** np.arange(len(shares))
-        sizes = signed * self.width
+        signed = parts * (-1.0) ** np.arange(len(parts))
+        sizes = 0.5 * self.width * signed
         for _ in range(CORRECTIONS):
             hitches = [_displaced(goal, size * directions, requirements) for size in sizes.tolist()]
             stopped = self._resting(_rests(hitches, requirements), signed)

@@ -91,7 +91,7 @@ def bend(s: Spans, k: Index) -> Line:
 
 
 def friction_excess(s: Spans, i: Index) -> Line:
-    """Return excesses of legs' tensions beyond ``e^{-μθ} T`` and ``e^{μθ} T``, over T."""
+    """Return excesses of legs' tensions beyond ``e^{-μβ} T`` and ``e^{μβ} T``, over T."""
     p = s.plan
     ratio = capstan(s, i)
     x = p.pulls.on(s, i)
@@ -101,11 +101,16 @@ def friction_excess(s: Spans, i: Index) -> Line:
 
 
 def capstan(s: Spans, i: Index) -> Line:
-    """Return ``e^{μθ}`` for the angle θ between leg and edge at the clasps of drones i."""
+    """Return ``e^{μβ}`` for the bends ``β = π sin(θ/2)`` of cables that turn by θ, at drones i.
+
+    They twist half a turn of a helix about each other. ``2 sin(θ/2)`` is the distance of both
+    directions.
+    """
     leaving, arriving = s.edge(i // 2)
     q = np.broadcast_to(i % 2 == 0, len(s.x))
-    theta = angle(-s.leg_chord(i), leaving.where(q) - arriving.where(~q))
-    return (theta * s.plan.mu).map(np.exp, np.exp)
+    along = leaving.where(q) - arriving.where(~q)
+    turn = (along.unit() + s.leg_chord(i).unit()).norm()
+    return (turn * (0.5 * np.pi * s.plan.mu)).map(np.exp, np.exp)
 
 
 def length_error(s: Spans, k: Index) -> Line:

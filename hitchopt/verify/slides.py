@@ -14,8 +14,6 @@ from .plan import Plan
 from .spans import SAMPLED, Row, Worst, worst_row
 from .statics import AT_REST, STEP, TAUT, Rest
 
-CROSSING = math.radians(60.0)  # angle at which the cables of a clasp cross
-HALF_AXES = math.sin(0.5 * CROSSING), math.cos(0.5 * CROSSING)  # of both, and of opposite friction
 SHARES = np.linspace(0.0, 1.0, 9)  # of the range of friction
 SLIDE = 1e-3  # [m] least change of leg lengths in a phase with slides
 PLAIN = 1e-6  # [N] of pulls that equal those of edges
@@ -36,17 +34,15 @@ REST_TIME = 0.5  # [s] shortest rest that counts
 class Slider:
     """Drones and clasps that friction holds where cables stopped, or started to slide back.
 
-    At a clasp the coefficients of both legs are ``μ (a u + b v)`` and ``μ (a u - b v)``: cables
-    stick as long as u and v, its parts, are in the unit disc, and slip along their direction on it.
+    At a clasp the coefficients of both legs are ``μ (a u + b v)`` and ``μ (a u - b v)``, a and b the
+    sine and cosine of half of the angle at which cables cross: they stick as long as u and v, its
+    parts, are in the unit disc, and slip along their direction on it.
     """
 
     def __init__(self, p: Plan, friction: float, share: float) -> None:
         self.plan, self.friction = p, friction
-        ahead, behind = 2 * p.clasps, 2 * p.behind + 1
+        self.legs = np.stack([2 * p.clasps, 2 * p.behind + 1])
         self.of_parts = np.zeros((2 * p.n, len(p.clasps), 2))
-        for legs, sign in ((ahead, 1.0), (behind, -1.0)):
-            for part, factor in enumerate((HALF_AXES[0], sign * HALF_AXES[1])):
-                self.of_parts[legs, np.arange(len(legs)), part] = friction * factor
         self.parts = np.zeros((len(p.clasps), 2))
         self.parts[:, 0] = share
         self.at, self.unknowns, self.lengths = np.zeros(0), np.zeros(0), np.zeros(0)
@@ -61,12 +57,23 @@ class Slider:
         is_first = not self.at.size
         start = at if is_first else self.unknowns + at - self.at
         self.at = at
+        self.cross(rest, start)
         self.unknowns, by_friction = self.balanced(rest, start)
         for _ in range(0 if is_first or self.friction == 0.0 else ROUNDS):
             self.slip(self.leg_slopes(rest) @ by_friction, self.leg_lengths(rest) - self.lengths)
+            self.cross(rest, self.unknowns)
             self.unknowns, by_friction = self.balanced(rest, self.unknowns)
         self.lengths = self.leg_lengths(rest)
         return rest.places(self.unknowns)
+
+    def cross(self, rest: Rest, unknowns: Array) -> None:
+        """Set what parts do to friction, from the angles at which cables cross."""
+        sines = rest.half_chords(unknowns).ravel()[self.legs]
+        square = np.mean(sines**2, axis=0)
+        clasps = np.arange(len(square))
+        for legs, sign in zip(self.legs, (1.0, -1.0), strict=True):
+            self.of_parts[legs, clasps, 0] = self.friction * np.sqrt(square)
+            self.of_parts[legs, clasps, 1] = sign * self.friction * np.sqrt(1.0 - square)
 
     def balanced(self, rest: Rest, unknowns: Array) -> tuple[Array, Array]:
         """Return the unknowns in balance, and their derivatives (…, 2 n) by friction."""

@@ -61,8 +61,8 @@ class Rest:
     """A hitch at rest as planned, and its balance with errors.
 
     Unknowns are the positions of drones, then of clasps, then the tensions of cables. Errors are n
-    of lengths [m], 3 N of setpoints [m], and 2 n coefficients μ of friction: a leg pulls ``e^{μθ}``
-    times as much as its edge, where the cable bends by θ.
+    of lengths [m], 3 N of setpoints [m], and 2 n coefficients μ of friction: a leg pulls ``e^{μβ}``
+    times as much as its edge, where the cable bends by β.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Rest:
         self.held = -forces.reshape(N, 3)
 
     def balance(self, unknowns: Array, errors: Array, bends: Array) -> Array:
-        """Return minus forces on nodes, and excess lengths of cables, for angles (2 n,) of bends.
+        """Return minus forces on nodes, and excess lengths of cables, for bends (2 n,) [rad].
 
         Either unknowns or errors may have a leading axis.
         """
@@ -181,11 +181,14 @@ class Rest:
         return np.asarray(unknowns[: self.planned.size].reshape(-1, 3)[self.at])
 
     def bends(self, unknowns: Array) -> Array:
-        """Return angles (2 n,) [rad] between legs and edges, 0 without a leg."""
+        """Return the bends (2 n,) [rad] of cables, half turns of a helix; 0 without a leg."""
+        return np.asarray((math.pi * self.half_chords(unknowns) * self.exists[:, ::2]).ravel())
+
+    def half_chords(self, unknowns: Array) -> Array:
+        """Return sines (n, 2) of half of the angles by which cables turn from legs to edges."""
         chord = np.diff(unknowns[: self.planned.size].reshape(-1, 3)[self.nodes], axis=1)
         u = chord / np.maximum(norm(chord), STEP)[..., None]
-        cosine = np.clip(np.sum(u[:, 1:] * u[:, :-1], axis=-1), -1.0, 1.0)
-        return np.asarray((np.arccos(cosine) * self.exists[:, ::2]).ravel())
+        return np.asarray(0.5 * norm(u[:, 1:] - u[:, :-1]))
 
     def radii(self, errors: dict[str, Any], tube: tuple[float, float]) -> Array:
         """Return bounds (P,) [m] of how far vertices are off, for the largest errors."""

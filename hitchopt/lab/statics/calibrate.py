@@ -8,16 +8,8 @@ by each of its legs; common unknowns are compliances 1/k, a steady horizontal wi
 coefficient of friction. The problem is solved twice: in long windows, which average the noise of
 positions, for the stiffness, and in short ones, in which cables slide, for the friction.
 
-Friction opposes the relative velocity of the cables' surfaces. Let cables a and b of a clasp slide
-toward their legs at rates v_a and v_b, and let c be the cosine between these directions at the
-contact. The ratio of the leg's to the edge's tension of a is then
-
-    log(T_leg / T_edge) = μ Θ_a (v_a - c v_b)/w,    w² = v_a² + v_b² - 2 c v_a v_b,
-
-where Θ_a is the angle by which a turns in space. This is Coulomb's law: the friction on a is
-``-μ N (v_a t_a - v_b t_b)/w`` with the normal force ``N = T Θ`` and directions t toward the legs,
-and only its component along t_a changes the tension of a. Θ and c follow from geometry: cables with
-coplanar ends turn by more than the angle in the plane, and touch where they cross.
+Cables that slide use the shares of friction of ``hitchopt.hitch.twists``, times their bends. So the
+coefficient of friction is that of Coulomb's law along the twist of both cables.
 """
 
 from __future__ import annotations
@@ -41,6 +33,7 @@ from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.energy import HitchEnergy, bends_of, energy_of
 from hitchopt.hitch.rest_errors import ErrorSizes
 from hitchopt.hitch.team import Errors
+from hitchopt.hitch.twists import cosine_of, sliding_parts
 from hitchopt.lab.flights.evaluation import evaluate
 from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import (
@@ -93,16 +86,10 @@ SLIDING_SCATTER = 0.01
 # Relative standard error of a stiffness due to effects outside the model, such as the ropes'
 # thickness
 MODEL_ERROR = 0.03
-GEOMETRY_ERROR = 0.15  # Relative standard error of a friction coefficient due to the angles below
+GEOMETRY_ERROR = 0.15  # Relative standard error of a friction coefficient due to the twists' shape
 
 MAX_STIFFNESS_ERROR = 0.25  # Largest relative error of a stiffness that is determined
 MAX_FRICTION_ERROR = 0.1  # Largest error of a friction coefficient that is determined
-
-# Turns of cables in the plane [rad], ratios of turns in space to these, and cosines between cables
-# at the contact, of simulated hitches at rest without friction (10 g/m at 0.5 N)
-TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
-IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
-COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
 
 # Sliding rate below which the direction is uncertain [m/s], due to noise of positions and creeping
 # contacts: in simulations friction has a third of its full value at 2 mm/s
@@ -510,7 +497,7 @@ class _Balance:
     kinds: Indices  # (2n,), kind of each drone
     relative_compliance: Array  # (2n, 3), level stiffness over that of each axis
     force_errors: Array  # (windows, nodes) [N], due to the standard errors of the vertices
-    bends: Array  # (windows, n, 2) [rad], turns of cables at both clasps; 1 without a leg
+    bends: Array  # (windows, n, 2) [rad], of cables at both clasps; 1 without a leg
     pulls: Array  # (windows, n, 2), log tension ratios for a coefficient of 1; zero if sticking
 
     @classmethod
@@ -612,7 +599,7 @@ class _Balance:
         cable = np.stack([layout.ahead, layout.behind], axis=-1)
         side = np.arange(2)
         middle = 0.5 * (short.t[1:] + short.t[:-1])
-        turns = self.bends[:, cable, side]
+        bends = self.bends[:, cable, side]
         one, other = (np.floor(t / FRICTION_WINDOW) for t in (middle, windows.t))
         span, window = np.nonzero(one[:, None] == other)
         visible = (short.visible[1:] & short.visible[:-1])[span][:, layout.clasps, None]
@@ -627,36 +614,33 @@ class _Balance:
             return np.where(visible, rates[span], 0.0)
 
         def mean(values: Array) -> Array:
-            sums = np.zeros_like(turns)
+            sums = np.zeros_like(bends)
             np.add.at(sums, window, values)
             return np.asarray(sums / np.maximum(total, 1))
 
         rates = rates_of(short.drones, short.vertices)
-        pulls = mean(friction_pulls(turns[window], rates, UNCERTAIN_RATE))
+        pulls = mean(friction_pulls(bends[window], rates, UNCERTAIN_RATE))
         rate = mean(rates)
         plan_rate = mean(rates_of(short.positions, short.planned))
-        speed = _sliding(turns, rate)[1]
+        speed = _sliding(bends, rate)[1]
         usable = (total[..., 0] > 1) & (speed > MIN_RATE)
-        usable &= _sliding(turns, plan_rate)[1] > MIN_PLANNED_RATE
+        usable &= _sliding(bends, plan_rate)[1] > MIN_PLANNED_RATE
         usable &= np.sum(rate * plan_rate, axis=-1) > 0.0
         self.pulls[:, cable, side] = np.where(usable[..., None], pulls, 0.0)
         return float(np.sum(speed[usable]) * FRICTION_WINDOW)
 
 
-def friction_pulls(turns: Array, rates: Array, uncertain: float = 0.0) -> Array:
+def friction_pulls(bends: Array, rates: Array, uncertain: float = 0.0) -> Array:
     """Return logarithms of leg over edge tensions (…, 2) for a friction coefficient of 1.
 
-    Cables of a clasp turn by angles in the plane (…, 2) [rad] and slide toward their legs at rates
-    (…, 2) [m/s]. Friction is reduced below the rate ``uncertain``.
+    Cables of a clasp have bends (…, 2) [rad] and slide toward their legs at rates (…, 2) [m/s].
+    Friction is reduced below the rate ``uncertain``.
     """
-    along, speed = _sliding(turns, rates)
-    in_space = turns * np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, IN_SPACE)
-    pulls: Array = in_space * along / np.maximum(np.hypot(speed, uncertain), 1e-12)[..., None]
+    along, speed = _sliding(bends, rates)
+    pulls: Array = bends * along / np.maximum(np.hypot(speed, uncertain), 1e-12)[..., None]
     return pulls
 
 
-def _sliding(turns: Array, rates: Array) -> tuple[Array, Array]:
+def _sliding(bends: Array, rates: Array) -> tuple[Array, Array]:
     """Return sliding rates of cables over each other: along each (…, 2), and total (…) [m/s]."""
-    cosine = np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, COSINES)
-    along = rates - cosine * rates[..., ::-1]
-    return along, np.sqrt(np.maximum(np.sum(rates * along, axis=-1), 0.0))
+    return sliding_parts(np.mean(cosine_of(bends), axis=-1), rates)

@@ -2,11 +2,11 @@
 
 Force residuals are recomputed from the returned positions and tensions.
 
-By the capstan equation, the tension of a leg is between ``e^{-μθ}`` and ``e^{μθ}`` times that of
-its edge, where θ is the angle by which the cable bends at the clasp. At the ends of the band of
-rest, friction is fully used at all clasps in one sense, as when a hitch is tightened or loosened:
-legs pull more than edges, or less. They are computed by Newton's method, in a continuation from the
-rest without friction over the friction coefficient.
+By the capstan equation, the tension of a leg is between ``e^{-μβ}`` and ``e^{μβ}`` times that of
+its edge, where β is the bend of the cable at the clasp (``hitch.twists``). At the ends of the band
+of rest, both cables of all clasps slide alike, as when a hitch is tightened or loosened: legs pull
+more than edges, or less, by the share of friction that each has then. They are computed by Newton's
+method, in a continuation from the rest without friction over the friction coefficient.
 """
 
 from __future__ import annotations
@@ -294,7 +294,8 @@ def _rest(
     slack = np.maximum(energy.slack_tension, SLACK_RATIO * energy.reference) >= T
     friction = float(conditions["friction"])
     tensions = T + energy.weight * energy.spans(ends).heights[..., 1]
-    rests = [energy.rest_with_friction(x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
+    alike = replace(energy, alike=True)
+    rests = [alike.rest_with_friction(x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
     return {
         "t": samples["t"],
         "drones": x[:, : energy.drones],

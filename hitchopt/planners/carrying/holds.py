@@ -530,9 +530,9 @@ class GripHold(HoldingHitch):
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s].
 
-        With friction feed-forward, legs have the tension T and edges ``exp(-s μ θ) T``. Here s is
-        the share of clasp friction, and θ the angle by which both cables turn at a clasp, the mean
-        of the angles between edges and between legs.
+        With friction feed-forward, legs have the tension T and edges ``exp(-s μ γ) T``. Here s is
+        the share of clasp friction, and γ the ``bend_together`` of cables that turn by the mean of
+        the angles between edges and between legs.
         """
         team = self.team
         state = move.state(t)

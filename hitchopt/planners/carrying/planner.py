@@ -21,6 +21,7 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import BalanceError
 from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.twists import bend_together
 from hitchopt.motion.motion import Motion, Phase, PhaseHold, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
@@ -629,8 +630,9 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     """Raise InfeasibleError if friction prevents legs from opening a hitch.
 
     A clasp opens if its legs, at an angle β, pull outward harder than its edges pull inward:
-    ``cos(β/2) > e^{μ θ} cos(β_edges/2)``, where μ is the friction between cables and θ the angle by
-    which they turn, the mean of both angles. β is smallest if the two drones are side by side.
+    ``cos(β/2) > e^{μ γ} cos(β_edges/2)``, where μ is the friction between cables and γ what counts
+    of it for cables that slide alike (``hitch.twists.bend_together``) and turn by the mean of both
+    angles. β is smallest if the two drones are side by side.
 
     Parameters
     ----------
@@ -658,15 +660,15 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     r_legs = hitch.legs[team.layout.behind, 1]
     cosines = (q_legs**2 + r_legs**2 - side_by_side**2) / (2.0 * q_legs * r_legs)
     leg_angles = np.arccos(np.clip(cosines, -1.0, 1.0))
-    turns = 0.5 * (edge_angles + leg_angles)
+    bends = bend_together(0.5 * (edge_angles + leg_angles))
     log_ratio = np.log(np.cos(0.5 * leg_angles) / np.cos(0.5 * edge_angles))
-    utilization = np.where(opens, np.exp(friction * turns - log_ratio), 0.0)
+    utilization = np.where(opens, np.exp(friction * bends - log_ratio), 0.0)
     worst = int(np.argmax(utilization))
     if utilization[worst] <= 1.0:
         return
     tied = spread_hitch(team, ConvexPolygon(around), hitch.altitude, requirements)
     remedies = [] if tied is None else [remedy]
-    largest_friction = log_ratio[worst] / turns[worst]
+    largest_friction = log_ratio[worst] / bends[worst]
     if largest_friction > 0.0:
         rounded = math.floor(1000.0 * largest_friction) / 1000.0
         remedies.append(f"use smoother cables, team.cable_friction {rounded:.3g} or less")

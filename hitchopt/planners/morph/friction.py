@@ -5,11 +5,8 @@ feed-forward the vertex is dragged along until the clasp is in balance. With it 
 tension changed by friction, and lean as the force triangle at the clasp requires
 (``hitch.model.slipping_drones``).
 
-The ratio of tensions is ``e^{μ θ}`` if one cable slides about the other with the wrap angle θ, and
-smaller if both slide. The expected ratio is ``ln(P/T) = μ θ v / (|v_q| + |v_r|)`` for the rates
-``v`` of legs: the full one for one cable, half for two at the same speed. This law is empirical: it
-brings simulated ropes closest to their plans (``python -m benchmarks flights``). The law of
-``calibration/clasp_sliding.py``, fitted later, has 0.7 instead of one half at turns of 60°.
+The expected ratio of tensions follows from the rates at which legs grow, as both cables share the
+friction of their contact (``hitch.twists``).
 """
 
 from __future__ import annotations
@@ -28,6 +25,7 @@ from hitchopt.hitch.model import slipping_drones
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.series import JET, chained, product
 from hitchopt.hitch.team import Layout
+from hitchopt.hitch.twists import bend, sliding_parts
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.path import cable_along
 from hitchopt.planners.timing.stretch import needed_stretch
@@ -216,10 +214,10 @@ def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
     fastest = float(np.max(np.abs(rates)))
     if fastest <= MIN_LEG_RATE:
         return None
-    rates_of_both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW_SHARE * fastest
     clasps = _ForceTriangles.of(motion, t)
     friction = min(motion.team.friction, MAX_FRICTION)
-    slip = friction * clasps.wrap_angles * rates / rates_of_both
+    along, speed = sliding_parts(clasps.cosine, rates)
+    slip = friction * clasps.bends * along / (speed + SLOW_SHARE * fastest)[..., None]
     slip *= share * clasps.feasible_share(slip)[..., None]
     slip[:ZERO_COEFFICIENTS] = 0.0
     slip[-ZERO_COEFFICIENTS:] = 0.0
@@ -280,12 +278,17 @@ class _ForceTriangles:
         return self.angles(np.zeros_like(self.tensions))
 
     @property
-    def wrap_angles(self) -> Array:
-        """(J, clasps, 2) [rad]: wrap angles of both cables, which V bisects without clasp loads.
+    def bends(self) -> Array:
+        """(J, clasps, 2) [rad]: bends of both cables, whose turns V bisects without clasp loads.
 
         They are 0 for straight cables, whose legs cannot lean.
         """
-        return np.nan_to_num(2.0 * self.leg_angles)
+        return np.asarray(np.nan_to_num(bend(np.cos(2.0 * self.leg_angles))))
+
+    @property
+    def cosine(self) -> Array:
+        """(J, clasps): cosines of the angles at which cables cross, means of their turns'."""
+        return np.asarray(np.nan_to_num(np.mean(np.cos(2.0 * self.leg_angles), axis=-1), nan=1.0))
 
     def feasible_share(self, slip: Array) -> Array:
         """Return the largest feasible shares (J, clasps) of slips (J, clasps, 2).
