@@ -34,9 +34,9 @@ REST_TIME = 0.5  # [s] shortest rest that counts
 class Slider:
     """Drones and clasps that friction holds where cables stopped, or started to slide back.
 
-    At a clasp the coefficients of both legs are ``μ (a u + b v)`` and ``μ (a u - b v)``, a and b the
-    sine and cosine of half of the angle at which cables cross: they stick as long as u and v, its
-    parts, are in the unit disc, and slip along their direction on it.
+    At a clasp the coefficients of both legs are ``μ (a u + b v)`` and ``μ (a u - b v)``, a and b
+    the sine and cosine of half of the angle at which cables cross: they stick as long as u and v,
+    its parts, are in the unit disc, and slip along their direction on it.
     """
 
     def __init__(self, p: Plan, friction: float, share: float) -> None:

@@ -126,7 +126,7 @@ def ratios(motion: Motion, t: Array) -> Array:
     theta = angle(flat * leaving, flat * arriving)
     legs = motion.drones.at(t) - motion.vertices.at(t)[:, motion.team.layout.anchors]
     wrapped = np.maximum(angle(-legs[:, 0::2], leaving), angle(-legs[:, 1::2], -arriving))
-    least = motion.tensions.at(t) * np.exp(-motion.team.friction * wrapped)
+    least = motion.tensions.at(t) * np.exp(-motion.team.friction * np.pi * np.sin(0.5 * wrapped))
     a = motion.poses.differentiated(2).at(t)[:, 0, 2]
     slip: Array = body.friction * np.sum(least * theta, axis=1)
     return slip / (body.mass * (GRAVITY + a))
@@ -377,18 +377,19 @@ def test_the_suggested_friction_is_the_largest_that_opens() -> None:
     # At the limit both sides of the clasp's balance are the same, drones side by side.
     leg = 0.5 * (1.6 - 0.4 * math.sqrt(3.0))
     legs = np.arcsin(Requirements().separation.radius / leg)
-    exact = np.log(np.cos(legs) / np.cos(np.pi / 6.0)) / (legs + np.pi / 6.0)
+    turn = legs + np.pi / 6.0  # of helices, whose contact both cables share
+    exact = np.log(np.cos(legs) / np.cos(np.pi / 6.0)) / (np.pi * np.sin(0.5 * turn) ** 2)
     assert most == pytest.approx(exact, abs=1e-3)
 
 
 def test_residual_grip_solves_the_law_of_clasps() -> None:
-    """Found by bisection: edges pull e^(mu theta) times as hard as legs where clasps stick."""
+    """Found by bisection: edges pull harder than legs where clasps stick, by both cables' share."""
     between, mu = np.radians(50.0), 0.15  # between the two legs at a clasp, of unequal lengths
     turned = 0.7 + 2.0 * np.pi * np.arange(3)[:, None] / 3 + [-between / 2.0, between / 2.0]
     legs = np.stack([np.cos(turned), np.sin(turned)], axis=-1) * [[[0.5], [0.3]]]
 
     def harder(edges: float) -> float:
-        return math.exp(mu * 0.5 * (edges + between))
+        return math.exp(mu * math.pi * math.sin(0.25 * (edges + between)) ** 2)
 
     edges = brentq(lambda x: harder(x) * np.cos(0.5 * x) - np.cos(0.5 * between), between, np.pi)
     found = residual_grip(legs, np.array([0.3, 0.2, 0.1]), mu, 0.4)

@@ -326,14 +326,16 @@ def _unbalanced(s: Samples) -> float:
 def slides(s: Samples) -> tuple[Array, Array]:
     """(times, 2n) each: a leg's pull over its tension, and what friction makes of it at most.
 
-    A cable wraps by how much it turns on its way from the drone along its edge.
+    A cable that turns on its way from the drone along its edge twists half a turn of a helix there.
     """
     inward = np.stack([s.edges, -s.edges], axis=2).reshape(s.legs.shape)
     cosine = -np.sum(s.legs * inward, axis=-1)
     with np.errstate(invalid="ignore"):
         cosine /= np.linalg.norm(s.legs, axis=-1) * np.linalg.norm(inward, axis=-1)
     turn = np.where(s.legged, np.arccos(np.clip(cosine, -1.0, 1.0)), 0.0)
-    return s.P / np.repeat(s.T, 2, axis=1), np.exp(s.team.cable_friction * turn)
+    return s.P / np.repeat(s.T, 2, axis=1), np.exp(
+        s.team.cable_friction * np.pi * np.sin(0.5 * turn)
+    )
 
 
 def _level(spans: Array) -> Array:

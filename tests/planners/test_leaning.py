@@ -67,8 +67,11 @@ def test_growing_legs_have_higher_tensions_within_friction(friction: float) -> N
     assert np.max(np.abs(ratio)) < np.pi * friction
 
 
-def test_a_cable_that_slides_alone_expects_the_friction_of_its_whole_wrap() -> None:
-    """With unequal tensions the weaker cable turns by more than the other one."""
+def test_a_cable_that_slides_alone_expects_the_friction_of_its_whole_twist() -> None:
+    """The resting cable of its clasp bears what of this friction is along it, on the other side.
+
+    With unequal tensions the weaker cable turns by more than the other one.
+    """
     team = ho.Team(4, LENGTHS, tension=[0.5, 0.42, 0.58, 0.5], cable_friction=0.03)
     start = ho.Hitch.balanced(team, POLYGON, altitude=1.2)
     motion = ho.solve(
@@ -76,12 +79,21 @@ def test_a_cable_that_slides_alone_expects_the_friction_of_its_whole_wrap() -> N
     ).motion
     ratio = np.log(motion.pulls.at(3.0).reshape(4, 2) / motion.tensions.at(3.0)[:, None])
     p, x = motion.vertices.at(3.0), start.drones
+
+    def turn(cable: int, end: int) -> float:
+        """Return the angle by which a cable turns at the clasp of its q or r."""
+        at, other = (cable + end) % 4, (cable + 1 - end) % 4
+        arriving, leaving = unit(p[at] - x[2 * cable + end]), unit(p[other] - p[at])
+        return float(np.arccos(arriving @ leaving))
+
     for end, sign in ((0, 1.0), (1, -1.0)):  # both of cable 1, one let out, one drawn in
-        arriving, leaving = p[1 + end] - x[2 + end], p[2 - end] - p[1 + end]
-        cosine = arriving @ leaving / np.linalg.norm(arriving) / np.linalg.norm(leaving)
-        alone = 0.03 * np.arccos(cosine) / 1.1  # a tenth of the largest speed counts as still
-        assert ratio[1, end] == pytest.approx(sign * alone, rel=0.03)
-    assert np.max(np.abs(ratio[[0, 2, 3]])) < 1e-9
+        resting = 2 * end, 1 - end
+        turns = turn(1, end), turn(*resting)
+        bends = np.pi * np.sin(0.5 * np.array(turns))
+        alone = sign * 0.03 / 1.1  # a tenth of the largest speed counts as still
+        assert ratio[1, end] == pytest.approx(alone * bends[0], rel=0.03)
+        assert ratio[resting] == pytest.approx(-alone * bends[1] * np.mean(np.cos(turns)), rel=0.1)
+    assert np.max(np.abs(ratio[3])) < 1e-9
 
 
 @pytest.mark.parametrize("friction", [0.05, 2.0])

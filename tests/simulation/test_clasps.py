@@ -171,9 +171,7 @@ def test_friction_holds_vertices_in_the_band_of_statics(
     team = ho.Team(3, 2.4, tension=0.4, cable_density=0.005, cable_friction=0.1)
     plan = ho.solve(ho.HitchStart(polygon, 1.5), ho.Hold(0.3), team=team)
     stiff = {"stiffness": STIFFNESS, "axial_stiffness": AXIAL_STIFFNESS}
-    turn = np.pi / 3.0
-    share = np.pi * np.sin(0.5 * turn) ** 2 / turn  # of the capstan's friction for this turn
-    rest = ho.equilibrium(plan, 0.0, **stiff, friction=0.04 * share)
+    rest = ho.equilibrium(plan, 0.0, **stiff, friction=0.04)
     outward = plan.end.vertices - np.mean(plan.end.vertices, axis=0)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     world = world_of(plan.end, 0.1 * sense * outward, 0.04)

@@ -17,12 +17,12 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.energy import energy_of
+from hitchopt.hitch.energy import bends_of, energy_of
 from hitchopt.lab.flights.readers import HEADER
 from hitchopt.lab.flights.recordings import RecordedFlight, Recording, Track, windows_of
 from hitchopt.lab.simulation.exported import team_task
 from hitchopt.lab.simulation.task import TeamTask
-from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
+from hitchopt.lab.statics.calibrate import Estimate, friction_pulls
 from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.motion.states import States
 from hitchopt.storage.yaml_file import parse_yaml
@@ -55,7 +55,7 @@ def balance_clasps(
     def pulls(x: Array) -> Array:
         at = np.concatenate([drones, x.reshape(-1, 3)])[None]
         units = unit(np.diff(at[:, nodes], axis=-2))
-        bends = np.arccos(np.clip(np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1), -1, 1))
+        bends = bends_of(units)
         used = np.zeros((team.robots, 2))
         angles = np.stack([bends[0, ahead, 0], bends[0, behind, 1]], axis=-1)
         sliding = np.stack([rates[2 * ahead], rates[2 * behind + 1]], axis=-1)
@@ -269,24 +269,24 @@ def test_errors_are_distances_to_the_plan_extended_by_rest() -> None:
     assert result.vertex_errors[-1] == pytest.approx(0.02)
 
 
-def test_friction_is_coulombs_in_space() -> None:
+def test_friction_is_coulombs_along_helices() -> None:
     """It opposes the relative velocity of the surfaces, also for swapped or reversed rates."""
     random = np.random.default_rng(7)
     for turn in np.radians([20.0, 52.0, 88.0, 119.0]):
-        c, space = np.interp(turn, TURNS, COSINES), np.interp(turn, TURNS, IN_SPACE)
+        c, bend = np.cos(turn), np.pi * np.sin(0.5 * turn)
         frame = np.linalg.qr(random.normal(size=(3, 3)))[0]
         along_a, along_b = frame[0], c * frame[0] + np.sqrt(1.0 - c**2) * frame[1]
         assert along_a @ along_b == pytest.approx(c)
         for rates in random.normal(size=(20, 2)):
             over = unit(rates[0] * along_a - rates[1] * along_b)
-            on_a, on_b = -turn * space * over, turn * space * over
+            on_a, on_b = -bend * over, bend * over
             # Friction that pulls a cable back increases the pull of its leg.
             expected = [-on_a @ along_a, -on_b @ along_b]
-            turns = np.full(2, turn)
-            np.testing.assert_allclose(friction_pulls(turns, rates), expected)
-            np.testing.assert_allclose(friction_pulls(turns, rates[::-1]), expected[::-1])
-            np.testing.assert_allclose(friction_pulls(turns, -rates), np.negative(expected))
-            np.testing.assert_allclose(friction_pulls(turns, 7.0 * rates), expected)
+            bends = np.full(2, bend)
+            np.testing.assert_allclose(friction_pulls(bends, rates), expected)
+            np.testing.assert_allclose(friction_pulls(bends, rates[::-1]), expected[::-1])
+            np.testing.assert_allclose(friction_pulls(bends, -rates), np.negative(expected))
+            np.testing.assert_allclose(friction_pulls(bends, 7.0 * rates), expected)
 
 
 TRIANGLE = [[0.0, -0.75], [-0.6, 0.4], [0.7, 0.4]]

@@ -333,8 +333,8 @@ def test_ends_of_a_triangles_band_solve_its_five_equations(friction: float) -> N
         drone, distance, tension = unknowns[:3], unknowns[3], unknowns[4]
         leg = drone - (vertex + distance * outward)
         size = float(np.linalg.norm(leg))
-        bend = np.arccos(-(leg / size) @ edge)
-        pull = tension * np.exp(friction * bend)
+        turn = np.arccos(-(leg / size) @ edge)  # of a helix, whose contact both cables share
+        pull = tension * np.exp(friction * np.pi * np.sin(0.5 * turn) ** 2)
         balance = STIFFNESS * (setpoint - drone) + feed_forward - pull * leg / size
         clasp = pull * (leg @ outward) / size - tension * np.cos(np.pi / 6)
         total = 2.0 * size + side + np.sqrt(3.0) * distance - 2.4
