@@ -23,7 +23,7 @@ MORE = 0.25  # of differences between samples: twice that of a parabola
 ITERATIONS = 20  # of Newton's method
 SOLVED = 1e-6  # [m] largest last step
 NUDGE = 1e-7  # [m] step of differences of bends
-ROUNDS = 2  # of slips and balances
+ROUNDS = 3  # of slips and balances
 SWEEPS = 400  # steps of gradients
 CONVERGED = 1e-7  # change of parts in the last one
 STILL = 1e-6  # [m] motion of drones at rest
@@ -60,8 +60,8 @@ class Slider:
         self.cross(rest, start)
         self.unknowns, by_friction = self.balanced(rest, start)
         for _ in range(0 if is_first or self.friction == 0.0 else ROUNDS):
-            self.slip(self.leg_slopes(rest) @ by_friction, self.leg_lengths(rest) - self.lengths)
             self.cross(rest, self.unknowns)
+            self.slip(self.leg_slopes(rest) @ by_friction, self.leg_lengths(rest) - self.lengths)
             self.unknowns, by_friction = self.balanced(rest, self.unknowns)
         self.lengths = self.leg_lengths(rest)
         return rest.places(self.unknowns)
