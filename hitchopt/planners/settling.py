@@ -253,19 +253,18 @@ class Settling:
     def _frictions(self, first: float) -> Array:
         """Return the parts of friction of over-travels, which decay from the first; none is above.
 
-        Half of them are against the friction of cables that slide alone, and half against that of
+        The first ones are against the friction of cables that slide alone, the others against that of
         cables that slide together. The last one is not above that of the least friction, which does
         not yield to smaller ones.
         """
         team = self.task.hitch.team
         last = team.least_friction / team.friction
-        count = math.ceil(0.5 * self.width / STEP)
-        steps = np.arange(count, 0, -1) / count
-        together = steps**DECAY
-        alone = 1.0 + (first - 1.0) * steps**2
-        parts = np.concatenate([alone, together])
+        together = _steps(0.5 * self.width) ** DECAY
+        beyond = max(first - 1.0, 0.0)
+        alone = 1.0 + beyond * _steps(0.5 * self.width * beyond) ** 2
+        parts = np.unique(np.minimum(np.concatenate([alone, together]), first))[::-1]
         before = np.append(np.inf, parts[:-1])
-        return np.asarray(parts[(parts <= first) & (before > last)])
+        return np.asarray(parts[before > last])
 
     def _beyond(self, parts: Array) -> list[Hitch]:
         """Return hitches beyond the goal on alternating sides, one by part of the friction.
@@ -308,6 +307,12 @@ class Settling:
         name = "vertex_error" if limit == limits.vertex_error else "rest_shift"
         values = name, settled.short, limit, "max", "m", where, when, remedy
         raise InfeasibleError([Violation(*values), *settled.cause.violations])
+
+
+def _steps(way: float) -> Array:
+    """Return shares of a way [m], from 1 on, whose differences are at most STEP."""
+    count = math.ceil(way / STEP)
+    return np.arange(count, 0, -1) / max(count, 1)
 
 
 def _lasting(motion: Motion, duration: float) -> Motion:

@@ -362,14 +362,14 @@ def opening(friction: float, radius: float = 0.12) -> str:
 
 
 def test_hitches_are_not_told_to_be_tied_where_drones_would_come_close() -> None:
-    assert "tie it larger" in opening(0.15)
-    close = opening(0.15, radius=0.22)
+    assert "tie it larger" in opening(0.25)
+    close = opening(0.25, radius=0.22)
     assert "smoother cables" in close
     assert "tie it larger" not in close
 
 
 def test_the_suggested_friction_is_the_largest_that_opens() -> None:
-    remedy = opening(0.15)
+    remedy = opening(0.25)
     assert "larger, or use smoother cables" in remedy
     most = float(remedy.split("cable_friction ")[1].split()[0])
     assert not opening(most)

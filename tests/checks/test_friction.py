@@ -128,7 +128,7 @@ def test_friction_has_no_effect_at_a_chains_ends() -> None:
     chain = Team(3, 2.4, topology="open", tension=0.5, cable_friction=0.1)
     points = [[-1.5, -0.4], [-0.6, 0.2], [0.6, 0.2], [1.5, -0.4]]
     start = ho.Hitch.spread(chain, points, altitude=1.0)
-    motion = ho.solve(start, ho.MoveVertex(1, by=[0.1, 0.15], duration=4.0)).motion
+    motion = ho.solve(start, ho.MoveVertex(1, by=[0.0, -0.15], duration=4.0)).motion
     assert motion.leg_tensions_differ
     assert row(motion, "equilibrium").holds
     for factor, (cable, end, point) in product((0.0, 0.98, 1.02), ((0, 0, 0), (2, 1, 3))):
