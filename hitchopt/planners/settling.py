@@ -253,9 +253,9 @@ class Settling:
     def _frictions(self, first: float) -> Array:
         """Return the parts of friction of over-travels, which decay from the first; none is above.
 
-        The first ones are against the friction of cables that slide alone, the others against that of
-        cables that slide together. The last one is not above that of the least friction, which does
-        not yield to smaller ones.
+        The first ones are against the friction of cables that slide alone, the others against that
+        of cables that slide together. The last one is not above that of the least friction, which
+        does not yield to smaller ones.
         """
         team = self.task.hitch.team
         last = team.least_friction / team.friction
