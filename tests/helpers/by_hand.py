@@ -333,9 +333,7 @@ def slides(s: Samples) -> tuple[Array, Array]:
     with np.errstate(invalid="ignore"):
         cosine /= np.linalg.norm(s.legs, axis=-1) * np.linalg.norm(inward, axis=-1)
     turn = np.where(s.legged, np.arccos(np.clip(cosine, -1.0, 1.0)), 0.0)
-    return s.P / np.repeat(s.T, 2, axis=1), np.exp(
-        s.team.cable_friction * np.pi * np.sin(0.5 * turn)
-    )
+    return s.P / np.repeat(s.T, 2, axis=1), np.exp(s.team.friction * np.pi * np.sin(0.5 * turn))
 
 
 def _level(spans: Array) -> Array:

@@ -60,7 +60,7 @@ def test_shares_of_sliding_cables_are_on_the_ellipse_where_rates_are_normal(turn
 def test_cables_that_slide_alone_or_alike_have_shares_of_their_own(turn: float) -> None:
     c = np.array(np.cos(turn))
     along, size = sliding_parts(c, np.array([0.3, 0.0]))
-    np.testing.assert_allclose(along / size, [1.0, -c])
+    np.testing.assert_allclose(along / size, [1.0, -np.cos(turn)])
     along, size = sliding_parts(c, np.array([-0.2, -0.2]))
     np.testing.assert_allclose(along / size, [-np.sin(0.5 * turn)] * 2)
     assert bend_together(np.array(turn)) == pytest.approx(bend(c) * np.sin(0.5 * turn))
