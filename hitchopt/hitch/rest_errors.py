@@ -25,11 +25,9 @@ from hitchopt.hitch.energy import (
     CABLE_COORDINATES,
     CableSlopes,
     HitchEnergy,
-    cosines_of,
     energy_of,
 )
 from hitchopt.hitch.team import Errors, Team
-from hitchopt.hitch.twists import sliding_parts
 from hitchopt.values import Array
 
 REMAINDER_FACTOR = 2.0
@@ -285,21 +283,6 @@ def settled(
     if np.any(friction):
         nodes = energy.rest_with_friction(nodes, friction)
     return np.asarray(nodes[:, energy.points])
-
-
-def sliding_shares(team: Team, samples: Mapping[str, Array], slides: Array) -> Array:
-    """Return the shares of friction (n, 2) of cables whose legs grow in proportion to ``slides``.
-
-    Those are (n, 2); the hitch is at rest (S = 1). Legs that do not exist have none.
-    """
-    energy = energy_of(team, loops_of(team), samples)
-    turns = cosines_of(energy.spans(energy.at_rest()[:, energy.nodes]).directions)[0].ravel()
-    legs = np.stack([2 * team.layout.ahead, 2 * team.layout.behind + 1], axis=-1)
-    cosine = np.clip(np.mean(turns[legs], axis=-1), -1.0, 1.0)
-    along, size = sliding_parts(cosine, slides.ravel()[legs])
-    shares = np.zeros(slides.size)
-    shares[legs] = along / np.where(size > 0.0, size, 1.0)[:, None]
-    return shares.reshape(slides.shape)
 
 
 def longest_period(team: Team, samples: Mapping[str, Array]) -> float:

@@ -4,6 +4,10 @@ Where cables slid, friction holds a hitch within a band about its goal, on the s
 came. Vertices that alternate about their goals, each time a little less far, end in the middle of
 the band, as in demagnetization. With smaller friction the band is narrower, and what remains is as
 small; without friction vertices follow the plan. Over-travels are plain morphs: no leg leans.
+
+``hitchopt.hitch.hysteresis`` follows the vertices as the hitch goes beyond its goal and back, with
+the largest friction of the range, in the direction opposite to that in which it left them. So the
+first over-travels are as large as it takes to move them to their goals.
 """
 
 from __future__ import annotations
@@ -17,11 +21,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
-from hitchopt.geometry.vectors import dot, length
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import checked_polygon
+from hitchopt.hitch.hysteresis import held_vertices
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.rest_errors import longest_period, planned_rest, settled, sliding_shares
+from hitchopt.hitch.rest_errors import longest_period, planned_rest
 from hitchopt.motion.motion import SETTLE, Motion, Phase, concatenated
 from hitchopt.motion.states import states_at
 from hitchopt.planners.along import straight_plan
@@ -35,37 +40,30 @@ from hitchopt.values.fields import with_fields
 MIN_SLIDE = 1e-3
 """[m] Change of leg lengths below which a step ends without settling."""
 
-STEP = 0.025
-"""[m] Mean difference in size of consecutive over-travels against the stated friction. Vertices
-rest within half a difference: they stop once two over-travels together are within the band."""
+STEP = 0.02
+"""[m] Mean difference in size of consecutive over-travels. Vertices rest within half a difference,
+where smaller over-travels no longer move them, and as much farther off as they overshoot. With
+3 cm, vertices of simulated triangles rest up to 3 cm off instead of 2.1."""
 
-DECAY = 0.75
-"""Exponent of the frictions over time, which makes differences of large over-travels smaller, since
-friction that needs these leaves vertices farther off."""
+LARGER = 1
+"""Number of over-travels that are larger than friction needs, since large ones overshoot by several
+centimetres. Without one, a vertex of a simulated triangle rests 5 cm off."""
 
-FIRST = 0.9
-"""Mean friction of the first over-travel over that of cables that slide alone."""
+FARTHEST = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 12.0)
+"""Sizes of first over-travels that are tried, over the distance at which friction holds vertices
+off their goals."""
 
-CORRECTIONS = 2
-"""Corrections of the sizes of over-travels, after which vertices are within 5 mm of their goals."""
-
-SUFFICIENT = 0.8
-"""Least such share from which all friction yields, since a cable may slide alone. With 0.65,
-vertices of simulated triangles rest 4 cm off, 0.16 of the width of their bands."""
+SWEEP = np.array([0.4, 0.55, 0.7, 0.85, 1.0, 1.15, 1.3])
+"""Sizes of later over-travels that are tried, over the first one. On either side they differ by up
+to a fifth, since angles are sharper on one."""
 
 MOVE_SHARE = 0.8
 """Shortest duration of an over-travel, and of the rest after the last one, over the longest period
 with which vertices swing without friction. At 0.5 over-travels are in resonance with it: with 0.6,
-simulated drones reached a clasp; with 0.8, vertices swing by 1 to 3 cm."""
+simulated drones reached a clasp; with 1.1, vertices rest no nearer."""
 
 SHARES = (1.0, 0.8, 0.6, 0.4)
-"""Shares of the first friction from which over-travels are tried, where limits bind."""
-
-FOLLOWING = 0.2
-"""Smallest way of a vertex that over-travels, over that of the vertex that moved farthest.
-
-A cable that slid keeps its friction until it slides back: where vertices with 0.3 of the way stayed
-in place, a third cable held the farthest one 4 cm off."""
+"""Shares of the first over-travel from which over-travels are tried, where limits bind."""
 
 MAX_JERK = 8.0
 """[m/s³] Largest jerk of drones."""
@@ -86,7 +84,8 @@ def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) ->
     at_end = task.within(task.requirements, plan.after)
     phase = Phase(SETTLE, plan.motion.phases[-1].step, 0.0, 0.0)
     seconds = settle if isinstance(settle, float) else None
-    settling = settling_plan(at_end, seconds, phase, before)
+    start = None if np.any(plan.motion.holding) else before
+    settling = settling_plan(at_end, seconds, phase, start)
     return replace(plan, motion=concatenated([plan.motion, settling.motion]))
 
 
@@ -95,14 +94,15 @@ def settling_plan(
 ) -> StepPlan:
     """Return the plan in which vertices over-travel and return to their goals.
 
-    They over-travel along their paths from the hitch ``start``, or inward and outward without one.
-    Where limits bind they over-travel less, or not at all; the remark names the vertex that may
-    rest farthest off, and what it lacks. Raises InfeasibleError if that is farther than
-    ``limits.vertex_error`` or ``rest_shift``, or if limits bind within a prescribed ``duration``.
+    ``start`` is the hitch before its cables slid, None if these may hold any friction. Vertices
+    over-travel as friction left them behind. Where limits bind they over-travel less, or not at
+    all; the remark names the vertex that may rest farthest off, and what it lacks.
+    Raises InfeasibleError if that is farther than ``limits.vertex_error`` or ``rest_shift``, or if
+    limits bind within a prescribed ``duration``.
     """
     settling = Settling(task, duration, phase, start)
-    if not settling.width >= STEP:  # nan without a balance
-        return settling.rest(f"friction holds vertices within {50.0 * settling.width:.2g} cm")
+    if not settling.lag >= 0.5 * STEP:  # nan without a balance
+        return settling.rest(f"friction holds vertices within {100.0 * settling.lag:.2g} cm")
     shares = (*SHARES, 0.0) if duration is None else SHARES
     settled = first_certified([settling.candidate(shares)], Effort())
     settling.require_near(settled)
@@ -137,61 +137,103 @@ class Settling:
         return _rests([self.task.hitch], self.task.requirements)
 
     @cached_property
-    def slides(self) -> Array:
-        """(n, 2), shares of friction of cables that slid since the start, or outward without one.
+    def _history(self) -> dict[str, Array]:
+        """The hitch before its cables slid, unless it turned since, and at rest: ``planned_rest``.
 
-        Both cables of a clasp share its friction; that of one that slides alone is 1.
+        Legs that leaned against the friction are not counted, since it may have been smaller.
         """
-        end, start = self.task.hitch, self.start
-        slid = np.ones_like(end.legs) if start is None else end.legs - start.legs
-        return sliding_shares(end.team, self.at_rest, slid)
+        if self.start is None:
+            return self.at_rest
+        return _rests([self.start, self.task.hitch], self.task.requirements)
 
     @cached_property
-    def bands(self) -> Array:
-        """(points, 2) [m], the bands of rest across which vertices over-travel.
+    def offsets(self) -> Array:
+        """(points, 2) [m], from the goal to where the largest friction of the range holds vertices.
 
-        They span the rests with friction against the slides of the cables, and in their direction.
-        If vertices moved, bands are along their ways, and 0 for others. They are nan where friction
-        has no balance.
+        They are nan where forces have no balance.
         """
-        end, start = self.task.hitch, self.start
-        both_ways = {name: np.repeat(values, 2, axis=0) for name, values in self.at_rest.items()}
-        against, along = self._resting(both_ways, np.array([1.0, -1.0]))
-        bands = np.zeros_like(end.polygon.vertices)
-        clasps = end.team.layout.clasps
-        bands[clasps] = (along - against)[clasps, :2]
-        ways = np.zeros_like(bands) if start is None else (end.vertices - start.vertices)[:, :2]
-        distances = length(ways)
-        farthest = float(np.max(distances))
-        if farthest < MIN_SLIDE:
-            return bands
-        directions = ways / np.maximum(distances, MIN_SLIDE)[:, None]
-        widths = np.abs(dot(bands, directions)) * (distances >= FOLLOWING * farthest)
-        return np.asarray(widths[:, None] * directions)
-
-    def _resting(self, rests: dict[str, Array], parts: Array) -> Array:
-        """Return vertices (S, points, 3) [m] of rests (S, …) with parts (S,) of the friction.
-
-        It acts against slides; a negative part acts in their direction.
-        """
-        team = self.task.hitch.team
-        return settled(
-            team,
-            rests,
-            lengths=np.zeros((len(parts), team.robots)),
-            offsets=np.zeros((len(parts), team.drones, 3)),
-            friction=(team.friction * parts)[:, None, None] * self.slides,
-        )
+        return np.asarray(self._held([])[0])
 
     @property
-    def width(self) -> float:
-        """Width of the widest band [m]."""
-        return float(np.max(length(self.bands)))
+    def lag(self) -> float:
+        """Largest distance at which friction holds a vertex off its goal [m]."""
+        return float(np.max(length(self.offsets)))
+
+    @property
+    def _farthest(self) -> int:
+        """Point that friction holds farthest off."""
+        return int(np.argmax(length(self.offsets)))
 
     @property
     def vertex(self) -> str:
-        """Name of the vertex with the widest band."""
-        return self.task.hitch.team.point_names[int(np.argmax(length(self.bands)))]
+        """Its name."""
+        return self.task.hitch.team.point_names[self._farthest]
+
+    def _held(self, beyond: list[Hitch]) -> Array:
+        """Return offsets from the goal (1 + S, points, 2) [m] at which friction holds vertices.
+
+        The hitch goes from its history to the goal, and then to S hitches beyond it.
+        """
+        team, samples = self.task.hitch.team, self._history
+        if beyond:
+            rests = _rests(beyond, self.task.requirements)
+            samples = {name: np.concatenate([samples[name], rests[name]]) for name in samples}
+        share = 1.0 if self.start is None else 0.0
+        vertices = held_vertices(team, samples, np.array([team.friction]), np.array([share]))
+        from_goal = vertices[-1 - len(beyond) :, 0] - self.task.hitch.vertices
+        return np.asarray(from_goal[..., :2])
+
+    def _beyond(self, sizes: Array) -> list[Hitch]:
+        """Return hitches beyond the goal by over-travels of sizes (S,) [m]."""
+        goal, requirements = self.task.hitch, self.task.requirements
+        directions = -self.offsets / self.lag
+        return [_displaced(goal, size * directions, requirements) for size in sizes.tolist()]
+
+    def _after(self, sizes: Array) -> Array:
+        """Return how far (S,) [m] beyond its goal the farthest vertex is after each over-travel."""
+        goal = self.task.hitch
+        there_and_back = [end for hitch in self._beyond(sizes) for end in (hitch, goal)]
+        returned = self._held(there_and_back)[2::2, self._farthest]
+        return np.asarray(returned @ (-self.offsets[self._farthest] / self.lag))
+
+    @cached_property
+    def growing(self) -> tuple[Array, Array]:
+        """Sizes (S,) [m] of over-travels that grow, and how far beyond each leaves the vertex [m].
+
+        They end where hitches beyond are no polygons.
+        """
+        sizes = self.lag * np.array(FARTHEST)
+        while True:
+            try:
+                return sizes, self._after(sizes)
+            except InfeasibleError:
+                sizes = sizes[:-1]
+
+    @cached_property
+    def first(self) -> float:
+        """Size [m] of the over-travel after which the vertex is at its goal."""
+        sizes, beyond = self.growing
+        return _root(sizes, beyond)
+
+    def _sizes(self, share: float) -> Array:
+        """Return the sizes (k,) [m] of over-travels from a share of the first one on.
+
+        They go forward and back in turn, and decay in equal steps. The second one is as large as it
+        takes to return the vertex to its goal from farther beyond. The last one is not larger than
+        the least friction needs, which does not yield to smaller ones.
+        """
+        first = share * self.first
+        sweep = first * SWEEP
+        after = self._after(np.concatenate([sweep[-1:], -sweep, sweep]))
+        after_back, after_forward = after[1 : 1 + len(sweep)], after[1 + len(sweep) :]
+        back, forward = _root(sweep, -after_back), _root(sweep, after_forward)
+        steps = math.ceil(max(back, forward) / STEP)
+        decay = np.arange(steps + LARGER, 0, -1) / steps
+        team = self.task.hitch.team
+        decay = decay[np.append(np.inf, decay[:-1]) > team.least_friction / team.friction]
+        sizes = decay * np.resize([forward, -back], len(decay))
+        sizes[0] = max(sizes[0], first)
+        return np.asarray(sizes)
 
     @cached_property
     def shortest_move(self) -> float:
@@ -211,8 +253,8 @@ class Settling:
         return Candidate("over-travel", partial(self._settled, share, cause), amended)
 
     def _settled(self, share: float, cause: InfeasibleError | None) -> Settled:
-        """Return the certified plan of over-travels from a share of the first friction on."""
-        short = min(0.5, SUFFICIENT - share * FIRST) * self.width
+        """Return the certified plan of over-travels from a share of the first one on."""
+        short = max(0.0, -float(np.interp(share * self.first, *self.growing)))
         plan = self.over_travels(share) if share else self.rest(f"{self.vertex} does not settle")
         if cause is None:
             return Settled(plan, 0.0, None)
@@ -224,11 +266,9 @@ class Settling:
         return Settled(plan.with_remark(remark), short, cause)
 
     def over_travels(self, share: float) -> StepPlan:
-        """Return the certified plan of the over-travels from a share of the first friction on."""
+        """Return the certified plan of the over-travels from a share of the first one on."""
         goal = self.task.hitch
-        slid = self.slides[self.slides != 0.0]
-        together = float(np.sqrt(np.mean(slid**2)))
-        hitches = self._beyond(self._frictions(share * FIRST / together))
+        hitches = self._beyond(self._sizes(share))
         size = max(float(np.max(length(each.vertices - goal.vertices))) for each in hitches)
         ends = [*hitches, goal, goal]
         moves = plan_in_sequence([partial(self._move, end) for end in ends], self._smooth_task)
@@ -249,40 +289,6 @@ class Settling:
         limits = requirements.limits
         smooth = with_fields(limits, jerk=min(limits.jerk, MAX_JERK))
         return self.task.within(replace(requirements, limits=smooth), self.task.before)
-
-    def _frictions(self, first: float) -> Array:
-        """Return the parts of friction of over-travels, which decay from the first; none is above.
-
-        The first ones are against the friction of cables that slide alone, the others against that
-        of cables that slide together. The last one is not above that of the least friction, which
-        does not yield to smaller ones.
-        """
-        team = self.task.hitch.team
-        last = team.least_friction / team.friction
-        together = _steps(0.5 * self.width) ** DECAY
-        beyond = max(first - 1.0, 0.0)
-        alone = 1.0 + beyond * _steps(0.5 * self.width * beyond) ** 2
-        parts = np.unique(np.minimum(np.concatenate([alone, together]), first))[::-1]
-        before = np.append(np.inf, parts[:-1])
-        return np.asarray(parts[before > last])
-
-    def _beyond(self, parts: Array) -> list[Hitch]:
-        """Return hitches beyond the goal on alternating sides, one by part of the friction.
-
-        Friction stops vertices on their way there at the goal. Its band is wider on one side, so
-        vertices that over-travelled by the same sizes would end off the goal.
-        """
-        goal, requirements = self.task.hitch, self.task.requirements
-        widest = int(np.argmax(length(self.bands)))
-        directions = self.bands / self.width
-        signed = parts * (-1.0) ** np.arange(len(parts))
-        sizes = 0.5 * self.width * signed
-        for _ in range(CORRECTIONS):
-            hitches = [_displaced(goal, size * directions, requirements) for size in sizes.tolist()]
-            stopped = self._resting(_rests(hitches, requirements), signed)
-            beyond = (stopped - goal.vertices)[:, widest, :2] @ directions[widest]
-            sizes -= np.where(np.isfinite(beyond), beyond, 0.0)
-        return [_displaced(goal, size * directions, requirements) for size in sizes.tolist()]
 
     def _move(self, end: Hitch, task: StepTask) -> StepPlan:
         """Return the plan of a straight morph, or of a rest."""
@@ -309,10 +315,9 @@ class Settling:
         raise InfeasibleError([Violation(*values), *settled.cause.violations])
 
 
-def _steps(way: float) -> Array:
-    """Return shares of a way [m], from 1 on, whose differences are at most STEP."""
-    count = math.ceil(way / STEP)
-    return np.arange(count, 0, -1) / max(count, 1)
+def _root(sizes: Array, beyond: Array) -> float:
+    """Return the size of an over-travel after which a vertex is at its goal, or the largest one."""
+    return float(np.interp(0.0, np.maximum.accumulate(beyond), sizes))
 
 
 def _lasting(motion: Motion, duration: float) -> Motion:
@@ -326,15 +331,16 @@ def _lasting(motion: Motion, duration: float) -> Motion:
 
 def _rests(hitches: list[Hitch], requirements: Requirements) -> dict[str, Array]:
     """Return hitches of a team at rest, as ``planned_rest``."""
-    rests = []
-    for hitch in hitches:
-        motion = rest_plan(hitch, requirements).motion
-        states = states_at(motion, np.zeros(1))
-        forces = states.cable_forces
-        rests.append(
-            planned_rest(motion.team, states.positions, states.vertices, states.tensions, forces)
-        )
-    return {name: np.concatenate([rest[name] for rest in rests]) for name in rests[0]}
+    each = [_rests_of(rest_plan(hitch, requirements).motion, np.zeros(1)) for hitch in hitches]
+    return {name: np.concatenate([rest[name] for rest in each]) for name in each[0]}
+
+
+def _rests_of(motion: Motion, t: Array) -> dict[str, Array]:
+    """Return the hitch at times t (S,) [s] of a motion, as ``planned_rest``."""
+    states = states_at(motion, t)
+    return planned_rest(
+        motion.team, states.positions, states.vertices, states.tensions, states.cable_forces
+    )
 
 
 def _displaced(goal: Hitch, offsets: Array, requirements: Requirements) -> Hitch:
