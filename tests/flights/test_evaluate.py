@@ -351,7 +351,7 @@ REFUSALS: dict[str, Request] = {
     "more robots": (triangle, "pentagon", {}, "6 bodies (cf"),
     "nothing moves": (motionless_flight, "triangle", {}, "start="),
     "too short": (lambda: excerpt(triangle(), 4.0, 5.5), "triangle", {}, "2.0 s"),
-    "a third of the flight in an unknown frame": (part_in_turned_frame, "triangle", {}, "m, 8."),
+    "a third of the flight in an unknown frame": (part_in_turned_frame, "triangle", {}, "m, 7."),
     "two assignments": (regular_in_turned_frame, "regular", {}, "names="),
     "no such name": (triangle, "triangle", {"names": "cf999=q0"}, "cf999"),
     "no pairs": (triangle, "triangle", {"names": "cf1"}, "cf231=q0"),

@@ -54,7 +54,7 @@ start:
     altitude: 1.5
     legs: {sharing: [0.65, 0.6, 0.65, 0.6], roll_deg: [8, 5, -3, 8]}
 mission:
-  - adjust: {legs: {sharing: [0.6, 0.6, 0.65, 0.6], roll_deg: [9, 4, -3, 8]}, settle: 6}
+  - adjust: {legs: {sharing: [0.6, 0.6, 0.65, 0.6], roll_deg: [9, 4, -3, 8]}, settle: 21}
   - adjust: {legs: {sharing: [0.65, 0.6, 0.65, 0.6], roll_deg: 7}, settle: false}
 """
 MOVED = """
@@ -250,7 +250,7 @@ LIES = [
     lie("swung", "start hitch legs roll_deg", 8),
     lie("swung", "mission 0 adjust legs roll_deg 0", 9.01),
     lie("swung", "mission 0 adjust legs roll_deg 2", 3),
-    lie("swung", "mission 0 adjust settle", 5),
+    lie("swung", "mission 0 adjust settle", 20),
     lie("swung", "mission 0 adjust settle", False),
     lie("swung", "mission 1 adjust legs roll_deg", -7),
     lie("tied", "mission 0 form legs", [0.5, 0.5, 0.5]),
