@@ -103,7 +103,9 @@ def settling_plan(
     settling = Settling(task, duration, phase, start)
     if not settling.lag >= 0.5 * STEP:  # nan without a balance
         return settling.rest(f"friction holds vertices within {100.0 * settling.lag:.2g} cm")
-    shares = (*SHARES, 0.0) if duration is None else SHARES
+    shares = SHARES if settling.first > 0.0 else ()
+    if duration is None or not shares:
+        shares = (*shares, 0.0)
     settled = first_certified([settling.candidate(shares)], Effort())
     settling.require_near(settled)
     return settled.plan
@@ -118,8 +120,8 @@ class Settled(NamedTuple):
     short: float
     """Distance that the vertex may be off [m]."""
 
-    cause: InfeasibleError | None
-    """What larger over-travels break; None if these suffice."""
+    causes: tuple[Violation, ...] = ()
+    """What larger over-travels break."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +140,7 @@ class Settling:
 
     @cached_property
     def _history(self) -> dict[str, Array]:
-        """The hitch before its cables slid, unless it turned since, and at rest: ``planned_rest``.
+        """The hitch before its cables slid and at rest, as ``planned_rest``.
 
         Legs that leaned against the friction are not counted, since it may have been smaller.
         """
@@ -191,28 +193,31 @@ class Settling:
 
     def _after(self, sizes: Array) -> Array:
         """Return how far (S,) [m] beyond its goal the farthest vertex is after each over-travel."""
-        goal = self.task.hitch
-        there_and_back = [end for hitch in self._beyond(sizes) for end in (hitch, goal)]
-        returned = self._held(there_and_back)[2::2, self._farthest]
+        path = np.outer(sizes, [1.0, 0.0])
+        returned = self._held(self._beyond(path.ravel()))[2::2, self._farthest]
         return np.asarray(returned @ (-self.offsets[self._farthest] / self.lag))
 
     @cached_property
-    def growing(self) -> tuple[Array, Array]:
+    def growing(self) -> tuple[Array, Array, tuple[Violation, ...]]:
         """Sizes (S,) [m] of over-travels that grow, and how far beyond each leaves the vertex [m].
 
-        They end where hitches beyond are no polygons.
+        They end where hitches beyond are no polygons, which the violations tell, or where forces
+        have no balance.
         """
-        sizes = self.lag * np.array(FARTHEST)
+        sizes, broken = self.lag * np.array(FARTHEST), tuple[Violation, ...]()
         while True:
             try:
-                return sizes, self._after(sizes)
-            except InfeasibleError:
-                sizes = sizes[:-1]
+                beyond = self._after(sizes)
+            except InfeasibleError as error:
+                sizes, broken = sizes[:-1], tuple(error.violations)
+            else:
+                balanced = np.isfinite(beyond)
+                return sizes[balanced], beyond[balanced], broken
 
     @cached_property
     def first(self) -> float:
         """Size [m] of the over-travel after which the vertex is at its goal."""
-        sizes, beyond = self.growing
+        sizes, beyond, _ = self.growing
         return _root(sizes, beyond)
 
     def _sizes(self, share: float) -> Array:
@@ -254,16 +259,21 @@ class Settling:
 
     def _settled(self, share: float, cause: InfeasibleError | None) -> Settled:
         """Return the certified plan of over-travels from a share of the first one on."""
-        short = max(0.0, -float(np.interp(share * self.first, *self.growing)))
         plan = self.over_travels(share) if share else self.rest(f"{self.vertex} does not settle")
-        if cause is None:
-            return Settled(plan, 0.0, None)
-        broken = str(replace(cause.violations[0], remedy="")).rstrip("; ")
+        sizes, beyond, broken = self.growing
+        short = max(0.0, -float(np.interp(share * self.first, sizes, beyond)))
+        if cause is None and short <= 0.5 * STEP:
+            return Settled(plan, 0.0)
+        causes = broken if cause is None else tuple(cause.violations)
+        since = "".join(
+            f", since larger over-travels break {str(replace(each, remedy='')).rstrip('; ')}"
+            for each in causes[:1]
+        )
         remark = (
-            f"it may rest {100.0 * short:.2g} cm short, since larger over-travels break {broken}; "
+            f"it may rest {100.0 * short:.2g} cm short{since}; "
             "limits.rest_shift refuses that, and finds changes that help"
         )
-        return Settled(plan.with_remark(remark), short, cause)
+        return Settled(plan.with_remark(remark), short, causes)
 
     def over_travels(self, share: float) -> StepPlan:
         """Return the certified plan of the over-travels from a share of the first one on."""
@@ -306,18 +316,24 @@ class Settling:
         """Raise InfeasibleError for a vertex that may rest farther off [m] than its limit."""
         limits = self.task.requirements.limits
         limit = limits.held_at_rest
-        if limit is None or settled.cause is None or settled.short <= limit:
+        if limit is None or settled.short <= limit:
             return
         where, when = (self.vertex,), "after over-travels"
         remedy = "give vertices room to over-travel, or use smoother cables (cable_friction)"
         name = "vertex_error" if limit == limits.vertex_error else "rest_shift"
         values = name, settled.short, limit, "max", "m", where, when, remedy
-        raise InfeasibleError([Violation(*values), *settled.cause.violations])
+        raise InfeasibleError([Violation(*values), *settled.causes])
 
 
 def _root(sizes: Array, beyond: Array) -> float:
-    """Return the size of an over-travel after which a vertex is at its goal, or the largest one."""
-    return float(np.interp(0.0, np.maximum.accumulate(beyond), sizes))
+    """Return the size of an over-travel after which a vertex is at its goal, or the largest one.
+
+    Where forces have no balance ``beyond`` is nan.
+    """
+    balanced = np.isfinite(beyond)
+    if not np.any(balanced):
+        return float(sizes[-1])
+    return float(np.interp(0.0, np.maximum.accumulate(beyond[balanced]), sizes[balanced]))
 
 
 def _lasting(motion: Motion, duration: float) -> Motion:

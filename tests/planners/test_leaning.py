@@ -367,6 +367,14 @@ def test_vertices_over_travel_less_where_limits_bind(tmp_path: Path) -> None:
     assert verify.main([str(tmp_path)]) == 0
 
 
+def test_remarks_say_where_polygons_leave_no_room_to_over_travel() -> None:
+    """Also where no over-travel moves a vertex against so much friction."""
+    nearly_flat = ho.ConvexPolygon([[0.0, 0.75], [0.5, 0.5], [-0.65, -0.375]])
+    for friction, words in ((0.2, "p0 over-travels"), (0.8, "p0 does not settle")):
+        remark = slid(Morph(nearly_flat), friction=friction).phases[-1].remark
+        assert re.match(f"{words}.* it may rest .* cm short, .* break convexity: ", remark)
+
+
 def test_settling_follows_where_cables_slid_and_stop() -> None:
     """Once after blended steps; not after a transport, or a morph to where the hitch is."""
     blended = replace(MOVES[0], blend=True), moved(0.1, 0.0, None, settle="auto")
