@@ -84,13 +84,13 @@ FAR[1] = [2.2, 2.0]
 @pytest.mark.parametrize(
     ("spots", "options", "words"),
     [
-        (CROWDED, {}, r"separation: .* at [qr][01], [qr][01] landed after step 1"),
-        (OUTSIDE, {"arena": ARENA}, r"arena: .* at [qr]\d landed after step 1"),
-        (FAR, {}, r"span: .* landed after step 1"),
+        (CROWDED, {}, r"separation: .* at [qr][01], [qr][01] landed, in step 1"),
+        (OUTSIDE, {"arena": ARENA}, r"arena: .* at [qr]\d landed, in step 1"),
+        (FAR, {}, r"span: .* landed, in step 1"),
         (
             SPOTS,
             {"objects": {"box": ho.SolidObject(BRICK, upper=0.4, at=[2.2, 0, 0], fixed=True)}},
-            r"object_clearance|keep_out: .* box .* landed after step 1",
+            r"object_clearance|keep_out: .* box .* landed, in step 1",
         ),
     ],
 )

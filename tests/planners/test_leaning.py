@@ -327,6 +327,7 @@ def test_every_cable_that_slid_slides_back_in_over_travels() -> None:
     assert np.all(np.min(settling_legs, axis=0) < -0.005)
 
 
+@pytest.mark.slow
 def test_a_range_of_friction_needs_no_over_travels_below_its_least(tmp_path: Path) -> None:
     counts = list[int]()
     for friction in (0.1, [0.0, 0.1], [0.1, 0.1]):
