@@ -162,6 +162,11 @@ class Settling:
         return float(np.max(length(self.offsets)))
 
     @property
+    def directions(self) -> Array:
+        """(points, 2), ways of vertices over the size of an over-travel, against their offsets."""
+        return np.asarray(-self.offsets / self.lag)
+
+    @property
     def _farthest(self) -> int:
         """Point that friction holds farthest off."""
         return int(np.argmax(length(self.offsets)))
@@ -188,14 +193,13 @@ class Settling:
     def _beyond(self, sizes: Array) -> list[Hitch]:
         """Return hitches beyond the goal by over-travels of sizes (S,) [m]."""
         goal, requirements = self.task.hitch, self.task.requirements
-        directions = -self.offsets / self.lag
-        return [_displaced(goal, size * directions, requirements) for size in sizes.tolist()]
+        return [_displaced(goal, size * self.directions, requirements) for size in sizes.tolist()]
 
     def _after(self, sizes: Array) -> Array:
         """Return how far (S,) [m] beyond its goal the farthest vertex is after each over-travel."""
         path = np.outer(sizes, [1.0, 0.0])
         returned = self._held(self._beyond(path.ravel()))[2::2, self._farthest]
-        return np.asarray(returned @ (-self.offsets[self._farthest] / self.lag))
+        return np.asarray(returned @ self.directions[self._farthest])
 
     @cached_property
     def growing(self) -> tuple[Array, Array, tuple[Violation, ...]]:

@@ -310,6 +310,8 @@ def test_over_travels_alternate_along_the_way_and_decay_and_grow_with_friction()
         firsts.append(sizes[0])
         assert f"over-travels {len(turns)} times" in plan.phases[-1].remark
         assert "short" not in plan.phases[-1].remark
+        rest = plan.certificate["rest_shift"].worst  # 3 and 7 cm without over-travels
+        assert rest < 0.5 * settling.STEP
     assert 1.5 < firsts[1] / firsts[0] < 2.5
     assert sizes[2] > sizes[1]  # friction stops vertices earlier on their way out than back
 

@@ -11,14 +11,9 @@ of the weight acts on each end.
 Masses. A clasp has half of the mass of the four segments that end at it, and its load. Clasps of
 cables without weight have a small mass, but no weight.
 
-Friction. Edges and legs of a clasp are in one plane, where each cable turns by the angle θ between
-its edges. Taut cables twist about each other there, by half a turn of a double helix around the
-bisector: each passes under the other and over it. Tangents of the helix cross at θ, and cables bend
-by ``π sin(θ/2)`` along it, more than by θ, whatever their thickness. So a cable that slides alone
-has ``|ln(T_leg/T_edge)| = μ π sin(θ/2)``, by the capstan equation. Both share one contact, in which
-friction opposes their relative velocity and is at most μ times the contact force. With z = (x, y),
-their ``ln(T_leg/T_edge) / (μ π sin(θ/2))``, the components of such a friction along both tangents
-satisfy
+Friction. Cables twist about each other as in ``hitch.twists``, cross at θ, and bend by β. A cable
+that slides alone has ``|ln(T_leg/T_edge)| = μ β``. With z = (x, y), their ``ln(T_leg/T_edge) / (μ
+β)``, cables of a clasp satisfy
 
     zᵀ G z = x² + y² + 2 x y cos θ ≤ sin² θ.
 
@@ -36,6 +31,7 @@ import numpy as np
 from hitchopt.geometry.vectors import cross_product, length, skew_matrix
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.team import Layout
+from hitchopt.hitch.twists import bend
 from hitchopt.lab.simulation.world import RigidBodies, inertia_of
 from hitchopt.values import Array
 
@@ -345,8 +341,7 @@ class ClaspWorld:
         """
         network, ends = self._network, cosines.shape[1]
         others, beside = network.others, network.beside
-        sines = np.sqrt(np.maximum(0.5 - 0.5 * cosines, 0.0))  # sin(θ/2)
-        limits = np.maximum(math.pi * self.friction * sines, TINY)
+        limits = np.maximum(self.friction * bend(np.minimum(cosines, 1.0)), TINY)
         eigenvalues = 1.0 + cosines.dot(network.crossings)  # of G
         half_axes = np.maximum(np.sqrt(np.maximum(1.0 - 0.5 * eigenvalues, 0.0)), TINY)
         # Tensions at the clasps' heights, from those at the middles of the segments
