@@ -19,14 +19,9 @@ from enum import StrEnum
 from importlib import import_module
 from typing import Any, NamedTuple
 
-MAX_REPR = 100
-"""Maximum number of characters of a ``repr``."""
-
-MAX_STRING = 30
-"""Maximum number of characters of a string in a ``repr``."""
-
-MAX_ENTRIES = 8
-"""Maximum number of numbers that are written out."""
+MAX_REPR = 100  # Maximum number of characters of a ``repr``
+MAX_STRING = 30  # Maximum number of characters of a string in a ``repr``
+MAX_ENTRIES = 8  # Maximum number of numbers that are written out
 
 
 class OneLine:
@@ -130,11 +125,8 @@ class Circumstance(str):
     """
 
 
-KNOWN = "a known "
-"""Beginning of the bound of a word that must exist; messages call others unknown."""
-
-UNKNOWN_KEY = f"{KNOWN}key"
-"""The bound of a key that does not exist."""
+KNOWN = "a known "  # Beginning of the bound of a word that must exist; messages call others unknown
+UNKNOWN_KEY = f"{KNOWN}key"  # The bound of a key that does not exist
 
 YAML_LITERALS = {"None": "null", "True": "true", "False": "false"}
 """YAML literals of Python constants."""
@@ -181,8 +173,7 @@ class InputError(HitchoptError, ValueError):
         return InputError(self.key, self.value, self.bound, self.remedy, place_of(self.key))
 
 
-MAX_LISTED = 20
-"""Maximum number of errors listed for one file."""
+MAX_LISTED = 20  # Maximum number of errors listed for one file
 
 
 class JointInputError(InputError):
@@ -272,21 +263,15 @@ def optional_module(module: str, purpose: str, extra: str) -> Any:
         raise UnsupportedError(f"{reason}; pip install 'hitchopt[{extra}]'") from None
 
 
-AT_END = "at the end"
-"""The end of a step, in ``Violation.when``."""
+AT_END = "at the end"  # The end of a step, in ``Violation.when``.
 
 
 class StepPlace(NamedTuple):
     """A step of a mission, or a phase of it."""
 
-    step: int
-    """Index of the step."""
-
-    name: str
-    """The step's name in the problem file, or what planners call the phase."""
-
-    phase: str = ""
-    """Name of the phase, if it differs from the step's."""
+    step: int  # Index of the step
+    name: str  # The step's name in the problem file, or what planners call the phase
+    phase: str = ""  # Name of the phase, if it differs from the step's
 
     def __str__(self) -> str:
         return f"{self.step} ({', '.join(filter(None, self[1:]))})"
@@ -441,8 +426,7 @@ class TimeLimitError(InfeasibleError):
     """Planning reached its time limit; feasibility is undecided."""
 
 
-EXCHANGED = ", or are x and y swapped?"
-"""End of a remedy if exchanged coordinates would be valid."""
+EXCHANGED = ", or are x and y swapped?"  # End of a remedy if exchanged coordinates would be valid
 
 
 def broken_limit(
@@ -508,8 +492,7 @@ def _truncated(value: object) -> str:
 # The time limit applies to everything that is called in its context, in the same thread only.
 # Loops call check_time; solvers in compiled code receive time_left.
 
-Progress = Callable[[str], None]
-"""Status callback: called with a message about the current work."""
+Progress = Callable[[str], None]  # Status callback: called with a message about the current work
 
 REMEDY = "raise the time limit (limit=), or simplify the problem"
 

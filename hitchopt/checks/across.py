@@ -68,14 +68,9 @@ LAID = frozenset({CableState.LAYING})
 class Side:
     """A team on a run of pieces, and the regions of its cables while these are not taut."""
 
-    flown: TeamMotion
-    """The team's motion on these pieces."""
-
-    sheets: CableSheets | None
-    """Regions of its cables; None without cables."""
-
-    carried: frozenset[str]
-    """Names of the objects that it moves at any time."""
+    flown: TeamMotion  # The team's motion on these pieces
+    sheets: CableSheets | None  # Regions of its cables; None without cables
+    carried: frozenset[str]  # Names of the objects that it moves at any time
 
     @property
     def motion(self) -> Motion:
@@ -97,14 +92,9 @@ class Side:
 class Run:
     """Two teams on common pieces on which the cables of each are taut or not, and distances."""
 
-    first: Side
-    """One of the teams."""
-
-    second: Side
-    """The other one."""
-
-    separation: Separation
-    """Distances of the flight."""
+    first: Side  # One of the teams
+    second: Side  # The other one
+    separation: Separation  # Distances of the flight
 
     @property
     def both(self) -> tuple[tuple[Side, Side], ...]:
@@ -234,17 +224,10 @@ def _objects(one: Side, other: Side) -> Iterator[PlacedObject]:
 class PlacedSlab(NamedTuple):
     """A slab of an object, or that on which cables bend around it."""
 
-    name: str
-    """Name of the object."""
-
-    slab: Slab
-    """The slab, in the object's frame."""
-
-    pose: Enclosed
-    """(pieces,) x, y, z [m], cosine and sine of yaw of the object."""
-
-    pieces: Flags
-    """(pieces,), on which it is compared."""
+    name: str  # Name of the object
+    slab: Slab  # The slab, in the object's frame
+    pose: Enclosed  # (pieces,) x, y, z [m], cosine and sine of yaw of the object
+    pieces: Flags  # (pieces,), on which it is compared
 
 
 def _slabs(one: Side, other: Side) -> Iterator[PlacedSlab]:

@@ -40,11 +40,8 @@ EXPORTED_LIMIT = -1e-4
 """[m] Limit of exported curves, which may pass a wall by this distance, as for a drone at rest on
 the floor."""
 
-FLOOR = "arena.lower[2]"
-"""Key of the floor."""
-
-CEILING = "arena.upper[2]"
-"""Key of the ceiling."""
+FLOOR = "arena.lower[2]"  # Key of the floor
+CEILING = "arena.upper[2]"  # Key of the ceiling
 
 FRACTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 """Points along a span: the polygon through them, with the full sag at all inner ones, is below the

@@ -37,28 +37,20 @@ Flags = NDArray[np.bool_]
 
 LOOSE = frozenset({CableState.LOOSE})
 
-PLAN_AXES = np.array([1.0, 1.0, 0.0])[:, None]
-"""Factors of coordinates, seen from above."""
+PLAN_AXES = np.array([1.0, 1.0, 0.0])[:, None]  # Factors of coordinates, seen from above
 
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
     """Bodies of one kind, as hulls of their corners."""
 
-    corners: Array
-    """(pieces, bodies, k, 3, degree + 1) [m]."""
-
-    names: Sequence[str]
-    """(bodies,), names of the bodies, or of the cables to which they belong."""
-
+    corners: Array  # (pieces, bodies, k, 3, degree + 1) [m]
+    names: Sequence[str]  # (bodies,), names of the bodies, or of the cables to which they belong
+    # Number of corners that span vertical regions in plan view; 0 for other bodies
     outline: int = 0
-    """Number of corners that span vertical regions in plan view; 0 for other bodies."""
-
-    pieces: Flags | None = None
-    """(pieces,), on which the bodies are compared; None for all."""
-
+    pieces: Flags | None = None  # (pieces,), on which the bodies are compared; None for all
+    # (bodies,), numbers of parts of taut cables as in ``Layout.parts``; empty for other bodies.
     part: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    """(bodies,), numbers of parts of taut cables as in ``Layout.parts``; empty for other bodies."""
 
     def labelled(self, label: Callable[[str], str]) -> Bodies:
         """Return the bodies with full names, such as ``a.q0``."""
@@ -112,14 +104,9 @@ class CableSheets:
     at its bottom.
     """
 
-    corners: Array
-    """(pieces, n, outline + 2, 3, degree + 1) [m]."""
-
-    outline: int
-    """Number of corners that span a region in plan view."""
-
-    clasped: Flags
-    """(pieces,), whether cables are clasped or tightened."""
+    corners: Array  # (pieces, n, outline + 2, 3, degree + 1) [m]
+    outline: int  # Number of corners that span a region in plan view
+    clasped: Flags  # (pieces,), whether cables are clasped or tightened
 
     def on(self, pieces: slice) -> CableSheets:
         """Return the regions on a run of pieces, with two corners if none is clasped."""

@@ -24,11 +24,8 @@ from hitchopt.motion.motion import CableState, HoldBy, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, Indices
 
-MAX_DRIFT = 1e-3
-"""[m] Largest motion of the midpoint of two drones that turn about each other."""
-
-MAX_LEG_DRIFT = 1e-4
-"""[m] Largest change of legs beyond that of their sag, while they roll."""
+MAX_DRIFT = 1e-3  # [m] Largest motion of the midpoint of two drones that turn about each other
+MAX_LEG_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
 
 MAX_TAUT_SHARE = 0.5
 """Largest fraction of a tightening phase with cables at their full length: tightening comes to rest

@@ -44,18 +44,14 @@ LENGTH_LIMIT = 1e-4
 """Largest relative error of a cable's length: 0.2 mm of a cable of 2 m, well below the length of a
 knot or a strain of 0.5 N."""
 
-EXPORTED_LIMIT = 1e-3
-"""The same for files, which store millimetres."""
+EXPORTED_LIMIT = 1e-3  # The same for files, which store millimetres
 
 TENSION_LIMIT = 1e-4
 """[N] Largest error of a tension: a quarter of a thousandth of a usual one, far below what a drone
 can measure."""
 
-SAG_SHARE = 0.2
-"""Largest error of the chord of a laid cable, relative to its sag."""
-
-RATIO_ORDER = 4
-"""Degree of a weight over a tension: both hardly change on spans that matter."""
+SAG_SHARE = 0.2  # Largest error of the chord of a laid cable, relative to its sag
+RATIO_ORDER = 4  # Degree of a weight over a tension: both hardly change on spans that matter
 
 
 _saved_lengths = cached(saved_lengths)

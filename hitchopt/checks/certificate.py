@@ -17,18 +17,14 @@ from hitchopt.values import closest_word
 
 FORMAT = "hitchopt-certificate/1"
 
-TOLERANCE = 1e-9
-"""Tolerance of checks, relative to the limit or to the largest length that enters."""
+TOLERANCE = 1e-9  # Tolerance of checks, relative to the limit or to the largest length that enters
 
 
 GROUPS = ("distances", "motion", "forces", "cables", "timing")
 """Headings of the certificate's table, in order."""
 
-OTHER = "other"
-"""Heading of checks of no group."""
-
-CUSTOM = "custom rules"
-"""Heading of custom rules, which ``hitchopt verify`` does not prove."""
+OTHER = "other"  # Heading of checks of no group
+CUSTOM = "custom rules"  # Heading of custom rules, which ``hitchopt verify`` does not prove
 
 CONTINUOUS, SAMPLED = "continuous", "sampled"
 """Methods: bounds for all t, or values at samples of time."""

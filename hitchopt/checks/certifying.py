@@ -36,8 +36,7 @@ from hitchopt.objects.placing import CONTACT_GAP
 from hitchopt.values import check_instance, nonnegative, sequence
 from hitchopt.values.fields import suggest_keywords
 
-TeamResults = dict[CheckRule, tuple[SpanResult, ...]]
-"""Results of one team's checks."""
+TeamResults = dict[CheckRule, tuple[SpanResult, ...]]  # Results of one team's checks
 
 _CERTIFICATES: WeakKeyDictionary[Motion | Flight, Certificate] = WeakKeyDictionary()
 """Certificates that this process has computed; those of a team that flies alone by its motion.
@@ -117,17 +116,10 @@ def certify(
 class FlightChecks:
     """The checks of a flight, of every team and between teams, each evaluated once."""
 
-    flight: Flight
-    """The flight."""
-
-    gamma: float
-    """Ratio of vertex errors to drone errors."""
-
-    requested: Sequence[Report]
-    """Reports, in addition to those with a limit."""
-
-    progress: Callable[[str], None] | None
-    """Called with the name of every check at its start."""
+    flight: Flight  # The flight
+    gamma: float  # Ratio of vertex errors to drone errors
+    requested: Sequence[Report]  # Reports, in addition to those with a limit
+    progress: Callable[[str], None] | None  # Called with the name of every check at its start
 
     @property
     def certificate(self) -> Certificate:

@@ -33,54 +33,36 @@ from hitchopt.trajectory.enclosed import Enclosed, Interval
 from hitchopt.trajectory.search import TimeSpans, batches
 from hitchopt.values import Array, Indices
 
-MIN_DISTANCE = 1e-6
-"""[m] Distance of chords that do not touch, and of drones outside sheets."""
+MIN_DISTANCE = 1e-6  # [m] Distance of chords that do not touch, and of drones outside sheets
 
 MAX_HALVINGS = 30
 """Maximum number of halvings of a span: if it is still open, a chord touches another one's end."""
 
-MAX_HEIGHT_ERROR = 5e-3
-"""[m] Largest width of the interval of the height of a crossing."""
+MAX_HEIGHT_ERROR = 5e-3  # [m] Largest width of the interval of the height of a crossing
 
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
     """Crossings of the chords of pairs of cables; pairs that are not listed have none."""
 
-    first: Indices
-    """(pairs,), the first cable of each pair."""
-
-    second: Indices
-    """(pairs,), the second cable, with a higher number."""
-
-    count: Indices
-    """(pairs,): how often the chords have passed through each other, with signs."""
-
+    first: Indices  # (pairs,), the first cable of each pair
+    second: Indices  # (pairs,), the second cable, with a higher number
+    count: Indices  # (pairs,): how often the chords have passed through each other, with signs
     certain: Flags
     """(pairs,): whether the count is certain, as it is unless an end touches a chord, or chords
     touch at either end of the motion."""
 
-    time: Array
-    """(pairs,) [s], about the last crossing."""
+    time: Array  # (pairs,) [s], about the last crossing
 
 
 class SpansAcross(NamedTuple):
     """Spans on which two chords are across, and may pass through each other."""
 
-    pair: Indices
-    """(spans,), ``i * n + j`` of cables i and j."""
-
-    start: Array
-    """(spans,) [s]"""
-
-    end: Array
-    """(spans,) [s]"""
-
-    sign_before: Array
-    """(spans,), sign of the volume at the start; 0 if uncertain."""
-
-    sign_after: Array
-    """(spans,), sign of the volume at the end; 0 if uncertain."""
+    pair: Indices  # (spans,), ``i * n + j`` of cables i and j
+    start: Array  # (spans,) [s]
+    end: Array  # (spans,) [s]
+    sign_before: Array  # (spans,), sign of the volume at the start; 0 if uncertain
+    sign_after: Array  # (spans,), sign of the volume at the end; 0 if uncertain
 
     @classmethod
     def of(cls, spans: PairSpans) -> SpansAcross:
@@ -96,8 +78,7 @@ class SpansAcross(NamedTuple):
         )
 
 
-NONE_ACROSS = SpansAcross(np.zeros(0, np.intp), *np.zeros((4, 0)))
-"""No spans across."""
+NONE_ACROSS = SpansAcross(np.zeros(0, np.intp), *np.zeros((4, 0)))  # No spans across
 
 
 def _undecided(spans: PairSpans, decided: Callable[[PairSpans], Flags]) -> PairSpans:
@@ -252,11 +233,8 @@ def _outside_sheet(spans: PairSpans) -> Flags:
 class CrossingHeight(NamedTuple):
     """The point at which two chords cross, seen from above."""
 
-    crosses: Flags
-    """(spans,), whether they certainly cross."""
-
-    height: Interval
-    """(spans,) [m], of the first chord over the second one; meaningless elsewhere."""
+    crosses: Flags  # (spans,), whether they certainly cross
+    height: Interval  # (spans,) [m], of the first chord over the second one; meaningless elsewhere
 
 
 def _crossing_height(chords: Array) -> CrossingHeight:
@@ -285,17 +263,10 @@ class HeightsBeyond(NamedTuple):
     touch.
     """
 
-    start: Array
-    """(spans,) [m], at the start of each span."""
-
-    end: Array
-    """(spans,) [m], at its end."""
-
-    lowest: Array
-    """(spans,) [m], lower bound on the span."""
-
-    highest: Array
-    """(spans,) [m], upper bound on the span."""
+    start: Array  # (spans,) [m], at the start of each span
+    end: Array  # (spans,) [m], at its end
+    lowest: Array  # (spans,) [m], lower bound on the span
+    highest: Array  # (spans,) [m], upper bound on the span
 
     @property
     def backward(self) -> HeightsBeyond:

@@ -72,23 +72,13 @@ class ClaspSizes:
     where tensions rise from zero, is divided out: it cancels in every ratio.
     """
 
-    legs: Array
-    """[N], tensions of legs."""
-
-    edges: Array
-    """[N], tensions of edges, without the fraction of a rim."""
-
-    leg_half_densities: Array
-    """[N/m], half of the weight of legs per length."""
-
+    legs: Array  # [N], tensions of legs
+    edges: Array  # [N], tensions of edges, without the fraction of a rim
+    leg_half_densities: Array  # [N/m], half of the weight of legs per length
+    # [N/m], half of the weight of edges per length, without the fraction of a rim
     edge_half_densities: Array
-    """[N/m], half of the weight of edges per length, without the fraction of a rim."""
-
-    weights: Array
-    """[N], half of the whole cable's weight, and half of the clasp's load."""
-
-    loads: Array
-    """(pieces, clasps, 3, degree + 1) [N], forces of objects."""
+    weights: Array  # [N], half of the whole cable's weight, and half of the clasp's load
+    loads: Array  # (pieces, clasps, 3, degree + 1) [N], forces of objects
 
 
 @cached
@@ -157,11 +147,8 @@ class RollTerms(NamedTuple):
 
     cosine: Enclosed
 
-    sine_over_pull: Enclosed
-    """The sine, divided by the norm of ``pull``."""
-
-    pull: Enclosed
-    """The sum V of both legs' pulls [N], up to the factor of ``ClaspSizes``."""
+    sine_over_pull: Enclosed  # The sine, divided by the norm of ``pull``
+    pull: Enclosed  # The sum V of both legs' pulls [N], up to the factor of ``ClaspSizes``
 
 
 @cached

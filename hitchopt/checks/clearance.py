@@ -240,11 +240,8 @@ Objects that can be held err with the vertices that hold them.
 """
 
 
-EDGE = 1
-"""Kind of parts of cables that are edges, as in ``Layout.parts``."""
-
-ENTRY_DISTANCE = 2e-5
-"""[m] Holding cables that come closer to an object's body enter it."""
+EDGE = 1  # Kind of parts of cables that are edges, as in ``Layout.parts``.
+ENTRY_DISTANCE = 2e-5  # [m] Holding cables that come closer to an object's body enter it
 
 
 def entry(spans: PairSpans) -> Bound:

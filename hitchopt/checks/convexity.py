@@ -16,11 +16,8 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
-MIN_ANGLE = -180.0
-"""[deg] Smallest angle, also of edges without direction."""
-
-ANGLE_ROUNDING = 1e-6
-"""[deg] Rounding of the sum of all angles."""
+MIN_ANGLE = -180.0  # [deg] Smallest angle, also of edges without direction
+ANGLE_ROUNDING = 1e-6  # [deg] Rounding of the sum of all angles
 
 
 @cached

@@ -36,8 +36,7 @@ from hitchopt.motion.motion import (
 )
 from hitchopt.values import Indices
 
-MAX_SIDEWAYS = 1e-6
-"""[m] Largest horizontal motion of drones that move vertically."""
+MAX_SIDEWAYS = 1e-6  # [m] Largest horizontal motion of drones that move vertically
 
 
 def upright_pieces(motion: Motion) -> Flags:

@@ -35,8 +35,7 @@ REMEDY = "change the steps, or the limit of this rule"
 class RuleSpans(OneLine, MotionSpans):
     """Spans of items that rules are evaluated for."""
 
-    states: ClassVar[Set[CableState]]
-    """States of cables in which the items exist."""
+    states: ClassVar[Set[CableState]]  # States of cables in which the items exist
 
     def _parts(self) -> Iterator[str]:
         yield f"{len(self)} spans"

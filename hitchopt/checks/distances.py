@@ -39,43 +39,24 @@ from hitchopt.values import Array, Indices, known, lazy
 MAX_LISTED = 8000
 """Maximum number of pairs that are listed without an index, which then costs more than it saves."""
 
-MAX_COMPARED = 32_768
-"""Maximum number of pairs times pieces that are compared at a time."""
+MAX_COMPARED = 32_768  # Maximum number of pairs times pieces that are compared at a time
 
 MAX_SEEDS = 256
 """Number of pairs with the nearest boxes, whose distances at mid span exclude others."""
 
-ROUGH_SEEDS = 32
-"""Number of these pairs where bounds suffice."""
-
-NEIGHBOURS = 8
-"""Number of neighbours of each of many bodies among which these pairs are searched."""
-
-MAX_PER_BODY = 12
-"""Number of pairs per body above which a span with moving bodies is halved."""
-
-FAR = 0.25
-"""Bodies move far if they sweep boxes larger than this share of the reach of a search."""
-
-MAX_DEPTH = 8
-"""Maximum number of halvings."""
-
-TIE = 1e-6
-"""Largest relative difference of distances that tie."""
-
-SLACK = 1e-9
-"""Relative margin of comparisons of boxes."""
-
-GROUND = "ground"
-"""Name of the ground."""
-
-UNBOUNDED = 1e3
-"""[m] Half size of bodies that model unbounded ones."""
+ROUGH_SEEDS = 32  # Number of these pairs where bounds suffice
+NEIGHBOURS = 8  # Number of neighbours of each of many bodies among which these pairs are searched
+MAX_PER_BODY = 12  # Number of pairs per body above which a span with moving bodies is halved
+FAR = 0.25  # Bodies move far if they sweep boxes larger than this share of the reach of a search
+MAX_DEPTH = 8  # Maximum number of halvings
+TIE = 1e-6  # Largest relative difference of distances that tie
+SLACK = 1e-9  # Relative margin of comparisons of boxes
+GROUND = "ground"  # Name of the ground
+UNBOUNDED = 1e3  # [m] Half size of bodies that model unbounded ones
 
 Flags = NDArray[np.bool_]
 
-UPRIGHT_TOLERANCE = 1e-3
-"""[m] Tightness of bounds of horizontal distances, or of heights."""
+UPRIGHT_TOLERANCE = 1e-3  # [m] Tightness of bounds of horizontal distances, or of heights
 
 
 class Shape(Protocol):
@@ -135,8 +116,7 @@ class Hulls(Origin):
 
 ORIGIN = Origin()
 
-AXES = np.eye(3)
-"""Directions of the axes."""
+AXES = np.eye(3)  # Directions of the axes
 
 
 def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
@@ -200,44 +180,27 @@ def upright_distance(spans: PairSpans, outlines: tuple[int, int] = (2, 2)) -> Bo
 class Moving:
     """Moving bodies, as hulls of corners, and the pairs of them that are checked."""
 
-    breaks: Array
-    """(pieces + 1,) [s], ends of pieces."""
-
+    breaks: Array  # (pieces + 1,) [s], ends of pieces
+    # (pieces, bodies, corners, 3, degree + 1) [m], corners of the first group of bodies
     first: Array
-    """(pieces, bodies, corners, 3, degree + 1) [m], corners of the first group of bodies."""
-
+    # Corners of the second group, in the same shape; None for pairs i < j within the first one
     second: Array | None = None
-    """Corners of the second group, in the same shape; None for pairs i < j within the first one."""
-
-    margin: float = 0.0
-    """[m] Rounding error, which is subtracted from distances."""
-
+    margin: float = 0.0  # [m] Rounding error, which is subtracted from distances
+    # Predicate of pairs (first, second) that are compared; None for all
     allowed: Callable[[Indices, Indices], Flags] | None = None
-    """Predicate of pairs (first, second) that are compared; None for all."""
-
-    matched: bool = False
-    """True if only pairs of bodies with the same number are compared."""
-
-    shape: Shape = ORIGIN
-    """The body from which differences of two positions keep a distance."""
-
+    matched: bool = False  # True if only pairs of bodies with the same number are compared
+    shape: Shape = ORIGIN  # The body from which differences of two positions keep a distance
+    # (pieces, bodies), whether bodies of the first group are compared on a piece; None for all
     active: Flags | None = None
-    """(pieces, bodies), whether bodies of the first group are compared on a piece; None for all."""
-
+    # (bodies,) [m], lengths of cables that hang between both corners of the first group
     lengths: Array | None = None
-    """(bodies,) [m], lengths of cables that hang between both corners of the first group."""
-
+    # Names of the bodies of both groups, or empty; hanging cables are named last
     names: tuple[Sequence[str], Sequence[str]] = ((), ())
-    """Names of the bodies of both groups, or empty; hanging cables are named last."""
-
-    formula: Callable[[PairSpans], Bound] = gap
-    """Bound of the distance of pairs."""
-
+    formula: Callable[[PairSpans], Bound] = gap  # Bound of the distance of pairs
+    # [m] Tightness of bounds of distances; None if the limit determines it
     tolerance: float | None = None
-    """[m] Tightness of bounds of distances; None if the limit determines it."""
-
+    # Divisor of heights of hanging cables and their shape in the formula; see ``flattened``
     height_ratio: float = 1.0
-    """Divisor of heights of hanging cables and their shape in the formula; see ``flattened``."""
 
     @classmethod
     def between(
@@ -458,11 +421,9 @@ def near_pairs(
 class Listed(NamedTuple):
     """Pairs of close boxes from a spatial index."""
 
-    pairs: Pairs | None
-    """The pairs; None if there are too many."""
-
+    pairs: Pairs | None  # The pairs; None if there are too many
+    # True if bodies move far in comparison with the reach, so that halves have fewer pairs
     move_far: bool
-    """True if bodies move far in comparison with the reach, so that halves have fewer pairs."""
 
 
 def _listed(moving: Moving, reach: float, depth: int | None = None) -> Listed:

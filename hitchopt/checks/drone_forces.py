@@ -55,11 +55,8 @@ class SagTerms(NamedTuple):
     Common zeros, as where both rise from zero, are divided out: they cancel in the ratio.
     """
 
-    half_densities: Array
-    """[N/m], half of the weight per length."""
-
-    tensions: Array
-    """[N], the tensions."""
+    half_densities: Array  # [N/m], half of the weight per length
+    tensions: Array  # [N], the tensions
 
     @classmethod
     def of(cls, motion: Motion, taut: Array, tensions: Array) -> SagTerms:
@@ -101,11 +98,8 @@ def partners(motion: Motion) -> Array:
 class DroneForces(ABC, Generic[Q]):
     """Forces on one drone each, on spans of time, by curves that subclasses read from tables."""
 
-    source: Motion
-    """The motion."""
-
-    item: Indices
-    """The drones (spans,)."""
+    source: Motion  # The motion
+    item: Indices  # The drones (spans,)
 
     @abstractmethod
     def motion_rate(self, order: int) -> Q:

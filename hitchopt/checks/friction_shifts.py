@@ -45,86 +45,50 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import TAUT_RATIO, states_at
 from hitchopt.values import Array, ByValue, true_runs
 
-FRICTIONS = 9
-"""Number of frictions of the range, from the least to the largest."""
-
-MIN_SLIDE = 1e-3
-"""[m] Change of leg lengths below which a phase has no slides."""
+FRICTIONS = 9  # Number of frictions of the range, from the least to the largest
+MIN_SLIDE = 1e-3  # [m] Change of leg lengths below which a phase has no slides
 
 AT_REST = 1e-6
 """Largest speed of vertices where they turn [m/s], and change of drones [m] and tensions [N] at
 rest."""
 
-MAX_RETURN = 1e-4
-"""[m] Largest distance of a vertex after over-travels from its place before."""
-
-REST_TIME = 0.5
-"""[s] Shortest rest at which the distance from the plan counts."""
-
-SAMPLE_WAY = 0.1
-"""[m] Largest way between samples."""
-
-SAMPLES = 2
-"""Least number of samples from one rest of vertices to the next."""
-
-LEANING_SAMPLES = 8
-"""The same where legs lean against friction."""
-
-MAX_SAMPLES = 24
-"""Largest number of samples from one rest of vertices to the next."""
-
-WAY_SAMPLES = 200
-"""Number of samples of the ways of a phase."""
+MAX_RETURN = 1e-4  # [m] Largest distance of a vertex after over-travels from its place before
+REST_TIME = 0.5  # [s] Shortest rest at which the distance from the plan counts
+SAMPLE_WAY = 0.1  # [m] Largest way between samples
+SAMPLES = 2  # Least number of samples from one rest of vertices to the next
+LEANING_SAMPLES = 8  # The same where legs lean against friction
+MAX_SAMPLES = 24  # Largest number of samples from one rest of vertices to the next
+WAY_SAMPLES = 200  # Number of samples of the ways of a phase
 
 DECIMALS = 9
 """Decimals of planned states [m], [N]: the same motion at another time differs by rounding only."""
 
-MAX_COURSES = 64
-"""Number of courses whose vertices are stored."""
+MAX_COURSES = 64  # Number of courses whose vertices are stored
 
 HITCHED = frozenset({CableState.HITCHED})
 
-TINY = 1e-12
-"""Smallest divisor."""
+TINY = 1e-12  # Smallest divisor
 
 
 class Held(NamedTuple):
     """Vertices for several frictions, at samples."""
 
-    times: Array
-    """(S,) [s], since the start of the motion."""
-
-    planned: Array
-    """(S, points, 3) [m], the plan."""
-
-    vertices: Array
-    """(S, F, points, 3) [m], infinitely far without a balance."""
+    times: Array  # (S,) [s], since the start of the motion
+    planned: Array  # (S, points, 3) [m], the plan
+    vertices: Array  # (S, F, points, 3) [m], infinitely far without a balance
 
 
 @dataclass(frozen=True, eq=False)
 class Course(ByValue):
     """Consecutive planned states of a hitch, and the frictions for which vertices are followed."""
 
-    team: Team
-    """The team."""
-
-    positions: Array
-    """(S, 2n, 3) [m], of drones."""
-
-    vertices: Array
-    """(S, points, 3) [m]"""
-
-    tensions: Array
-    """(S, n) [N]"""
-
-    cable_forces: Array
-    """(S, 2n, 3) [N], on drones."""
-
-    frictions: Array
-    """(F,) coefficients of friction."""
-
-    shares: Array
-    """(F,) shares of it that clasps hold at the first state, as in ``held_vertices``."""
+    team: Team  # The team
+    positions: Array  # (S, 2n, 3) [m], of drones
+    vertices: Array  # (S, points, 3) [m]
+    tensions: Array  # (S, n) [N]
+    cable_forces: Array  # (S, 2n, 3) [N], on drones
+    frictions: Array  # (F,) coefficients of friction
+    shares: Array  # (F,) shares of it that clasps hold at the first state, as in ``held_vertices``
 
 
 def held(motion: Motion, t: Array, frictions: Array, shares: Array) -> Held:

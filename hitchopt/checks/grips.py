@@ -38,17 +38,10 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, lazy
 
-GRIP_LIMIT = 1.5
-"""Smallest slip load over load."""
-
-WRAP_GAP = 2e-5
-"""[m] Largest gap or overlap of an edge and the section it is wrapped around."""
-
-MIN_FORCE = 1e-12
-"""[N] Smallest divisor of forces."""
-
-MIN_CHORD = 1e-9
-"""[m] Arcs with shorter chords are their chords."""
+GRIP_LIMIT = 1.5  # Smallest slip load over load
+WRAP_GAP = 2e-5  # [m] Largest gap or overlap of an edge and the section it is wrapped around
+MIN_FORCE = 1e-12  # [N] Smallest divisor of forces
+MIN_CHORD = 1e-9  # [m] Arcs with shorter chords are their chords
 
 SIGNS = np.array([[1.0], [-1.0]])
 """Signs of the straight parts of an edge: it leads to the object before it, away from it behind."""
@@ -57,14 +50,9 @@ SIGNS = np.array([[1.0], [-1.0]])
 class GrippedObject(NamedTuple):
     """An object that edges are wrapped around."""
 
-    object_index: int
-    """Its index."""
-
-    name: str
-    """Its name."""
-
-    pieces: Mask
-    """(pieces,), on which it is gripped."""
+    object_index: int  # Its index
+    name: str  # Its name
+    pieces: Mask  # (pieces,), on which it is gripped
 
 
 def gripped_objects(motion: Motion) -> list[GrippedObject]:
@@ -443,8 +431,7 @@ YAW = CheckRule(
 """Two cables that clasp next to an object's sides turn it about its corners."""
 
 
-MIN_HINGE = 0.03
-"""[m] Height of two clasps above the centre of mass, in addition to errors."""
+MIN_HINGE = 0.03  # [m] Height of two clasps above the centre of mass, in addition to errors
 
 
 def _hinge_limit(motion: Motion) -> float | None:

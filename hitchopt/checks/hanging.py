@@ -46,14 +46,9 @@ most, and much less elsewhere."""
 POINTS_BY_PLACE = 16
 """Number of a chain's points at equal horizontal distances, which resolve the lowest part."""
 
-MIN_LINK = 1e-12
-"""Smallest length of a link in units of a chain's steepness, in quotients."""
-
-MAX_REACH = 0.25
-"""[m] Pieces on which a drone may move farther are split."""
-
-MAX_PARTS = 200
-"""Largest number of parts of a piece: only curves of no plan are longer."""
+MIN_LINK = 1e-12  # Smallest length of a link in units of a chain's steepness, in quotients
+MAX_REACH = 0.25  # [m] Pieces on which a drone may move farther are split
+MAX_PARTS = 200  # Largest number of parts of a piece: only curves of no plan are longer
 
 OWN_DISTANCES = 2.0
 """Distance along a cable from its drone, over ``separation.cable``, beyond which it is checked
@@ -63,8 +58,7 @@ OWN_SHARE = 0.75
 """End of the last link that is ignored for the cable's own drone, over the distance along the
 cable beyond which it is checked."""
 
-ROUNDING_SHARE = 1e-9
-"""Rounding of the end of that link, over the same distance."""
+ROUNDING_SHARE = 1e-9  # Rounding of the end of that link, over the same distance
 
 
 def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
@@ -81,20 +75,11 @@ def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
 class Hanging:
     """Cables that hang between two ends on spans of time."""
 
-    start: Array
-    """(spans, 3, degree + 1) [m], positions of the first ends."""
-
-    offset: Enclosed
-    """(spans, 3) [m], positions of the second ends relative to the first ones."""
-
-    length: Array
-    """(spans,) [m], lengths of the cables."""
-
-    cable: Catenary
-    """The cables (spans,) at mid time."""
-
-    sigma: Interval
-    """(spans,), steepness of the cables on the whole span."""
+    start: Array  # (spans, 3, degree + 1) [m], positions of the first ends
+    offset: Enclosed  # (spans, 3) [m], positions of the second ends relative to the first ones
+    length: Array  # (spans,) [m], lengths of the cables
+    cable: Catenary  # The cables (spans,) at mid time
+    sigma: Interval  # (spans,), steepness of the cables on the whole span
 
     @classmethod
     def between(cls, q: Array, r: Array, length: Array) -> Hanging:

@@ -64,17 +64,13 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices, true_runs
 
-MAX_JUMP = 1e-6
-"""[m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow."""
-
-MAX_LAID_GAP = 0.02
-"""[m] Largest distance of cables that lie on each other: their sags differ."""
+MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
+MAX_LAID_GAP = 0.02  # [m] Largest distance of cables that lie on each other: their sags differ
 
 TIED_STATES = CLASPED_STATES - {CableState.CLASPING}
 """States without a hitch in which a plan of a tied team may begin."""
 
-MAX_NAMED = 12
-"""Maximum number of pairs in ``where``."""
+MAX_NAMED = 12  # Maximum number of pairs in ``where``
 
 
 def _largest_jump(motion: Motion, _: float) -> WorstCase:
@@ -152,14 +148,9 @@ DURATION = CheckRule(
 class Contradiction(NamedTuple):
     """Cables and pairs of cables that contradict the state of a phase."""
 
-    phase: Phase
-    """The phase."""
-
-    pairs: Indices
-    """(k,), ``i n + j`` for pairs; cables are pairs with themselves."""
-
-    times: Array | float
-    """One or (k,) [s]."""
+    phase: Phase  # The phase
+    pairs: Indices  # (k,), ``i n + j`` for pairs; cables are pairs with themselves
+    times: Array | float  # One or (k,) [s]
 
 
 def _interlacing_errors(motion: Motion, _: float) -> WorstCase:
@@ -303,18 +294,10 @@ class Ties:
     becomes their crossing number.
     """
 
-    pairs: Indices
-    """Pairs of neighbours, sorted."""
-
-    order: Indices
-    """Their clasps."""
-
-    numbers: Indices
-    """Crossing numbers."""
-
-    senses: Indices
-    """Senses of clasps, 1 or -1."""
-
+    pairs: Indices  # Pairs of neighbours, sorted
+    order: Indices  # Their clasps
+    numbers: Indices  # Crossing numbers
+    senses: Indices  # Senses of clasps, 1 or -1
     lying: Indices
     """1 where the cable ahead lies on the one behind, -1 where below it, 0 where they are apart or
     clasped."""
@@ -482,11 +465,8 @@ def _in_opposite_senses(clasped: Indices, numbers: Indices) -> Flags:
 class LyingRun(NamedTuple):
     """Spans next to rolling, on which the cables of a clasp cross beyond an object."""
 
-    above: int
-    """1 if the cable ahead is above the one behind, -1 if below, 0 if neither is certain."""
-
-    valid: bool
-    """True if the cables lie on each other next to rolling, and never pass each other."""
+    above: int  # 1 if the cable ahead is above the one behind, -1 if below, 0 if neither is certain
+    valid: bool  # True if the cables lie on each other next to rolling, and never pass each other
 
     @classmethod
     def followed(cls, heights: HeightsBeyond) -> LyingRun:

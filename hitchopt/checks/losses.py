@@ -55,33 +55,22 @@ from hitchopt.values import Array, Indices, lazy, true_runs
 MAX_PIECE = 0.25
 """[s] Longest piece on which places after a loss are interpolated while the hitch moves."""
 
-ORDER = 7
-"""Degree of these polynomials."""
-
-RISE = 2.1
-"""Height between a lost robot's drones and all others, over the semi-axis of ellipsoids."""
-
-SWEEPS = 4
-"""Number of triangles that a chord sweeps on the way of its end."""
+ORDER = 7  # Degree of these polynomials
+RISE = 2.1  # Height between a lost robot's drones and all others, over the semi-axis of ellipsoids
+SWEEPS = 4  # Number of triangles that a chord sweeps on the way of its end
 
 MARGIN = 3e-4
 """Relative margin of distances: bounds of those in the plan that follows may be less tight."""
 
-REST = 1e-9
-"""[m] Largest motion at rest."""
+REST = 1e-9  # [m] Largest motion at rest
 
 
 class Case(NamedTuple):
     """Bodies that keep a distance after a loss."""
 
-    check: str
-    """Name of the check of such distances."""
-
-    limit: float
-    """The distance [m], or ratio, which includes the tracking error."""
-
-    moving: Moving
-    """The pairs."""
+    check: str  # Name of the check of such distances
+    limit: float  # The distance [m], or ratio, which includes the tracking error
+    moving: Moving  # The pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,32 +80,15 @@ class AfterLoss:
     Rows are those of ``Losses``; polynomials are (pieces, m, 3, degree + 1) [m], in one degree.
     """
 
-    motion: Motion
-    """The hitch."""
-
-    robots: Indices
-    """The cables that may be lost."""
-
-    drone: Indices
-    """(m,), the drones that move."""
-
-    lost: Indices
-    """(m,), the cables that are lost then."""
-
-    start: Array
-    """Places of the drones that move."""
-
-    clasp: Array
-    """Clasps that vanish."""
-
-    far: Array
-    """Other vertices of the cables of these drones."""
-
-    place: Array
-    """Places of these drones after the loss."""
-
-    shared: Indices
-    """(m,), the far vertices."""
+    motion: Motion  # The hitch
+    robots: Indices  # The cables that may be lost
+    drone: Indices  # (m,), the drones that move
+    lost: Indices  # (m,), the cables that are lost then
+    start: Array  # Places of the drones that move
+    clasp: Array  # Clasps that vanish
+    far: Array  # Other vertices of the cables of these drones
+    place: Array  # Places of these drones after the loss
+    shared: Indices  # (m,), the far vertices
 
     @classmethod
     def of(cls, motion: Motion) -> AfterLoss:
@@ -395,38 +367,17 @@ class Compared:
     clasps.
     """
 
-    others: Flags
-    """(m, 2n), rows and drones that remain."""
-
-    of_others: Flags
-    """(m, 2n), rows and drones of other cables that remain."""
-
-    together: Flags
-    """(m, m), both rows of one loss."""
-
-    leaves: Flags
-    """(m, 2n), rows and the drones of the lost robot."""
-
-    stay: Flags
-    """(2n, 2n), drones that may leave, and all others."""
-
-    beside: Flags
-    """(m, n), rows and whole cables."""
-
-    stay_beside: Flags
-    """(2n, n), drones that remain, and whole cables other than theirs."""
-
-    leave_beside: Flags
-    """(2n, n), drones of a lost robot, and whole cables."""
-
-    both_whole: Flags
-    """(n, n), pairs of whole cables."""
-
-    linked_beside: Flags
-    """(m, n), whether a row's cable and another one share a clasp."""
-
-    linked_ends: Flags
-    """(m, m), whether cables of rows share a clasp."""
+    others: Flags  # (m, 2n), rows and drones that remain
+    of_others: Flags  # (m, 2n), rows and drones of other cables that remain
+    together: Flags  # (m, m), both rows of one loss
+    leaves: Flags  # (m, 2n), rows and the drones of the lost robot
+    stay: Flags  # (2n, 2n), drones that may leave, and all others
+    beside: Flags  # (m, n), rows and whole cables
+    stay_beside: Flags  # (2n, n), drones that remain, and whole cables other than theirs
+    leave_beside: Flags  # (2n, n), drones of a lost robot, and whole cables
+    both_whole: Flags  # (n, n), pairs of whole cables
+    linked_beside: Flags  # (m, n), whether a row's cable and another one share a clasp
+    linked_ends: Flags  # (m, m), whether cables of rows share a clasp
 
     @classmethod
     def of(cls, after: AfterLoss) -> Compared:

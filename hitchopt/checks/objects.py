@@ -19,8 +19,7 @@ from hitchopt.values import Array, Indices, lazy
 
 Mask = NDArray[np.bool_]
 
-PLACE_TOLERANCE = 1e-4
-"""[m] Largest drift of clasps below a rim, and mean drift of contacts."""
+PLACE_TOLERANCE = 1e-4  # [m] Largest drift of clasps below a rim, and mean drift of contacts
 
 
 def add_axis(value: Enclosed) -> Enclosed:

@@ -55,20 +55,14 @@ RULES = (
 PART_REPORTS = (TRACKING_RADIUS, FRICTION_SHIFT)
 """Reports of each team whose values of a joined motion follow from those of its parts."""
 
-TEAM_REPORTS = (*PART_REPORTS, REST_SHIFT, VERTEX_ERROR)
-"""Reports of each team."""
-
-FLIGHT_REPORTS = (stops.STOPPABLE,)
-"""Reports of whole flights."""
+TEAM_REPORTS = (*PART_REPORTS, REST_SHIFT, VERTEX_ERROR)  # Reports of each team
+FLIGHT_REPORTS = (stops.STOPPABLE,)  # Reports of whole flights
 
 REPORTS = (*TEAM_REPORTS, *FLIGHT_REPORTS)
 """Quantities that a certificate reports after its checks, usually without a limit."""
 
-QUANTITIES: tuple[Quantity, ...] = (*RULES, *REPORTS)
-"""All quantities of certificates."""
-
-RULE_OF = {rule.name: rule for rule in RULES}
-"""The rules by name."""
+QUANTITIES: tuple[Quantity, ...] = (*RULES, *REPORTS)  # All quantities of certificates
+RULE_OF = {rule.name: rule for rule in RULES}  # The rules by name
 
 RULE_OF_KEY = {rule.key: rule for rule in RULES if rule.key.startswith("limits.")}
 """The rules by the key of their limit among ``limits`` of problem files."""

@@ -166,56 +166,32 @@ REPORT_IT = "do not fly this plan; please report it"
 class Quantity:
     """What certificates, tables and the documentation say of a quantity."""
 
-    name: str
-    """The name, as in ``Check``."""
-
-    unit: str
-    """The unit, as in ``Check``."""
-
-    sense: str
-    """``min`` or ``max``, as in ``Check``."""
-
+    name: str  # The name, as in ``Check``
+    unit: str  # The unit, as in ``Check``
+    sense: str  # ``min`` or ``max``, as in ``Check``
     _: KW_ONLY
 
-    group: str = OTHER
-    """The heading in tables, as in ``Check``."""
-
-    proves: str = ""
-    """What it bounds for all t, in the documentation."""
-
-    unproven: str = ""
-    """What it does not prove, in the documentation."""
-
-    key: str = ""
-    """The key of its limit in problem files; empty if the limit is fixed."""
-
-    is_error: bool = False
-    """True if tables title it as an error."""
-
+    group: str = OTHER  # The heading in tables, as in ``Check``
+    proves: str = ""  # What it bounds for all t, in the documentation
+    unproven: str = ""  # What it does not prove, in the documentation
+    key: str = ""  # The key of its limit in problem files; empty if the limit is fixed
+    is_error: bool = False  # True if tables title it as an error
     derivative: int = 0
     """The highest time derivative of positions that enters the quantity; 0 for none. The quantity
     is undefined where the next lower derivative jumps, and decreases in slow motion."""
 
-    method: str = CONTINUOUS
-    """The method, as in ``Check``."""
+    method: str = CONTINUOUS  # The method, as in ``Check``
 
 
 @dataclass(frozen=True, eq=False)
 class CheckRule(Quantity):
     """A check of the certificate."""
 
+    # The limit, or a function of a motion that returns it; None if there is nothing to check
     limit: float | Callable[[Motion], float | None]
-    """The limit, or a function of a motion that returns it; None if there is nothing to check."""
-
-    evaluators: tuple[Evaluator, ...]
-    """Evaluators for cables in different states."""
-
-    remedy: str = REPORT_IT
-    """The suggested change."""
-
-    free_remedy: str = ""
-    """The suggested change without a hitch, if different."""
-
+    evaluators: tuple[Evaluator, ...]  # Evaluators for cables in different states
+    remedy: str = REPORT_IT  # The suggested change
+    free_remedy: str = ""  # The suggested change without a hitch, if different
     ease: str = ""
     """The kind of change that repairs try: ``time`` (slower or shorter motion, to which planners
     slow down by themselves), ``length`` (of legs) or ``tension`` (lower, or less weight); empty for
@@ -225,18 +201,12 @@ class CheckRule(Quantity):
     """Kinds of the bodies that it limits, alone or in pairs that keep a distance. Tables of
     distances, tracking errors and repairs follow from them."""
 
+    # True if a joined motion is checked as a whole, since its parts do not cover the joints
     whole: bool = False
-    """True if a joined motion is checked as a whole, since its parts do not cover the joints."""
-
-    exported_limit: float | None = None
-    """The limit for exported curves, if different."""
-
-    exported_share: float = 1.0
-    """The limit for exported curves, over that for planned ones."""
-
+    exported_limit: float | None = None  # The limit for exported curves, if different
+    exported_share: float = 1.0  # The limit for exported curves, over that for planned ones
+    # The suggested change at the start without a hitch, where users place drones, if different
     start_remedy: str = ""
-    """The suggested change at the start without a hitch, where users place drones, if different."""
-
     remedy_at: Callable[[Motion, Check], str] = lambda _motion, _check: ""
     """A function that returns the suggested change at a violated check of a hitch, if its geometry
     decides; empty for ``remedy``."""
@@ -289,8 +259,7 @@ class CheckRule(Quantity):
         return tuple(results)
 
 
-SpanResults = Mapping[CheckRule, Sequence[SpanResult]]
-"""Results of a motion's checks."""
+SpanResults = Mapping[CheckRule, Sequence[SpanResult]]  # Results of a motion's checks
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,15 +270,14 @@ class ReportRule(Quantity):
     """
 
     evaluate: Callable[[Motion, SpanResults, float], WorstCase | None]
+    # The limit; None if it is not limited, infinity if its worst case states whether it is
     limit: Callable[[Requirements], float | None]
-    """The limit; None if it is not limited, infinity if its worst case states whether it is."""
-
     remedy: str
     free_remedy: str
     assumes_gamma: bool = True
 
+    # Whether there is anything to evaluate in a motion
     applies: Callable[[Motion], bool] = lambda _motion: True
-    """Whether there is anything to evaluate in a motion."""
 
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check | None:
         """Return the value of one team as a check, which holds without a limit, or None."""

@@ -145,11 +145,8 @@ SEPARATION = CheckRule(
 """The ellipsoids of drones do not intersect."""
 
 
-CLOSENESS_SPANS = 48
-"""Default number of time spans."""
-
-MAX_PAIRS = 12
-"""Maximum number of closest pairs."""
+CLOSENESS_SPANS = 48  # Default number of time spans
+MAX_PAIRS = 12  # Maximum number of closest pairs
 
 
 @dataclass(frozen=True)

@@ -25,15 +25,11 @@ from hitchopt.values import Array
 class Subdivision(NamedTuple):
     """Division of segments into parts, of which the one that contains the nearest point is kept."""
 
-    rounds: int
-    """Number of divisions."""
-
-    parts: int
-    """Number of parts in each division."""
+    rounds: int  # Number of divisions
+    parts: int  # Number of parts in each division
 
 
-MANY_SEGMENTS = 256
-"""Number of segments above which each is divided into few parts per round."""
+MANY_SEGMENTS = 256  # Number of segments above which each is divided into few parts per round
 
 FEW_LARGE_DIVISIONS = Subdivision(rounds=5, parts=32)
 """Division of few segments, to find nearest points to 3e-8 of their length."""
@@ -130,14 +126,9 @@ def obstacles(motion: Motion) -> list[Slab]:
 class PlacedObject(NamedTuple):
     """An object of a motion."""
 
-    name: str
-    """Its name."""
-
-    body: SolidObject
-    """The object."""
-
-    pose: Enclosed
-    """(pieces,) x, y, z [m], cosine and sine of yaw."""
+    name: str  # Its name
+    body: SolidObject  # The object
+    pose: Enclosed  # (pieces,) x, y, z [m], cosine and sine of yaw
 
 
 def placed_objects(motion: Motion) -> Iterator[PlacedObject]:

@@ -32,11 +32,8 @@ ROUNDING = 2.0**-40
 Coefficients and breaks are exact: they define the plan. Values computed from them err by a few
 units in the last place; the margin has a reserve of a factor of a thousand, also for sampling."""
 
-DIFFERENCE_ROUNDING = 2.0**-50
-"""Largest relative error of a difference of two numbers."""
-
-MAX_CACHED = 8 * BATCH
-"""Maximum number of spans of drones with cached values."""
+DIFFERENCE_ROUNDING = 2.0**-50  # Largest relative error of a difference of two numbers
+MAX_CACHED = 8 * BATCH  # Maximum number of spans of drones with cached values
 
 UPWARD = np.array([0.0, 0.0, 1.0])
 
@@ -153,8 +150,7 @@ class MotionSpans(TimeSpans):
 
     source: Motion
 
-    names: Callable[[Motion], Sequence[str]]
-    """The items' names."""
+    names: Callable[[Motion], Sequence[str]]  # The items' names
 
     @classmethod
     def of(cls, motion: Motion) -> Iterable[Self]:
@@ -312,14 +308,9 @@ def _divided(table: Array) -> Array:
 class PhasePart(NamedTuple):
     """A phase, its pieces in the motion, and the motion on them."""
 
-    phase: Phase
-    """The phase."""
-
-    pieces: slice
-    """Its pieces."""
-
-    motion: Motion
-    """The motion on these."""
+    phase: Phase  # The phase
+    pieces: slice  # Its pieces
+    motion: Motion  # The motion on these
 
 
 def phase_parts(motion: Motion) -> Iterator[PhasePart]:

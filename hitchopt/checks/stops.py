@@ -49,32 +49,15 @@ from hitchopt.values import Array, Indices, known, lazy, true_runs
 
 Flags = NDArray[np.bool_]
 
-HALVINGS = 7
-"""Number of halvings of a cell to decide a bound; undecided cells count as violations."""
-
-BATCH = 20_000
-"""Number of pairs of a cell and a drone that are evaluated at a time."""
-
-SLACK = 1e-9
-"""Relative margin for the clock's rounding."""
-
-MIN_STOP = 0.1
-"""[s] Shortest candidate of a stop."""
-
-MAX_STOP = 20.0
-"""[s] Longest candidate of a stop."""
-
-STOP_COUNT = 19
-"""Number of candidates, each a third longer than the last one."""
-
-SPACING = 0.1
-"""[s] Spacing of stops."""
-
-MAX_STARTS = 20_000
-"""Maximum number of pairs of a stop and a drone."""
-
-MIN_STOPS = 8
-"""Minimum number of stops."""
+HALVINGS = 7  # Number of halvings of a cell to decide a bound; undecided cells count as violations
+BATCH = 20_000  # Number of pairs of a cell and a drone that are evaluated at a time
+SLACK = 1e-9  # Relative margin for the clock's rounding
+MIN_STOP = 0.1  # [s] Shortest candidate of a stop
+MAX_STOP = 20.0  # [s] Longest candidate of a stop
+STOP_COUNT = 19  # Number of candidates, each a third longer than the last one
+SPACING = 0.1  # [s] Spacing of stops
+MAX_STARTS = 20_000  # Maximum number of pairs of a stop and a drone
+MIN_STOPS = 8  # Minimum number of stops
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
@@ -106,21 +89,15 @@ def rates_of(cells: ClockPhases) -> Array:
 class ClockRates(NamedTuple):
     """The time derivatives of plan time."""
 
-    rate: Enclosed
-    """The rate s."""
-
-    slope: Enclosed
-    """Its first time derivative [1/s]."""
-
-    curvature: Enclosed
-    """Its second time derivative [1/s²]."""
+    rate: Enclosed  # The rate s
+    slope: Enclosed  # Its first time derivative [1/s]
+    curvature: Enclosed  # Its second time derivative [1/s²]
 
 
 class OnClock(MotionSpans):
     """Spans of plan time along cells of clocks, one each."""
 
-    cells: ClockPhases
-    """The cells (spans,)."""
+    cells: ClockPhases  # The cells (spans,)
 
     @classmethod
     def of_cells(
@@ -220,25 +197,17 @@ class DronesOnClock(OnClock, Drones):
 class ClockLimit:
     """Limits of items that bound a clock's rates."""
 
-    path: PiecewisePolynomial
-    """(items, 3) [m], paths of the items, on pieces of the plan."""
-
-    orders: int
-    """Number of derivatives of the paths that enter."""
-
-    over: type[OnClock]
-    """Type of the spans on which utilization is bounded."""
-
-    source: Any
-    """Source of these spans."""
-
+    path: PiecewisePolynomial  # (items, 3) [m], paths of the items, on pieces of the plan
+    orders: int  # Number of derivatives of the paths that enter
+    over: type[OnClock]  # Type of the spans on which utilization is bounded
+    source: Any  # Source of these spans
     norms_suffice: Callable[..., Flags]
     """Function that returns whether norms prove that limits hold (cells, items): norms of
     derivatives (orders, cells, items), pieces (cells,), and bounds (cells, 1) of the clock's rate
     and its two derivatives there."""
 
+    # Function of spans that returns their largest fraction of a limit (spans,)
     utilization: Callable[[Any], Array]
-    """Function of spans that returns their largest fraction of a limit (spans,)."""
 
     @lazy
     def sizes(self) -> Array:
@@ -377,11 +346,8 @@ def _spare_acceleration(motion: Motion) -> Array:
 class CarriedPaths(NamedTuple):
     """Paths of points of a carried object, and the accelerations that a clock may add to them."""
 
-    paths: PiecewisePolynomial
-    """(items, 3) [m]."""
-
-    slack: Array
-    """(pieces, items) [m/s²], the largest additional accelerations."""
+    paths: PiecewisePolynomial  # (items, 3) [m]
+    slack: Array  # (pieces, items) [m/s²], the largest additional accelerations
 
 
 def _limit_of_inertia(carried: CarriedPaths) -> ClockLimit:
@@ -407,14 +373,9 @@ def _limit_of_inertia(carried: CarriedPaths) -> ClockLimit:
 class StopTable:
     """Stops that keep all limits, by the plan time at which they begin."""
 
-    end: float
-    """[s] Plan time at which the plan ends at rest; infinite if it does not."""
-
-    starts: Array
-    """(stops,) [s], increasing plan times at which stops begin."""
-
-    durations: Array
-    """(stops,) [s], durations of the stops; infinite if no stop is feasible."""
+    end: float  # [s] Plan time at which the plan ends at rest; infinite if it does not
+    starts: Array  # (stops,) [s], increasing plan times at which stops begin
+    durations: Array  # (stops,) [s], durations of the stops; infinite if no stop is feasible
 
     @property
     def longest(self) -> tuple[Array, Array]:

@@ -121,32 +121,15 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
 class _ObjectSupport:
     """The supports of an object, on all pieces of a motion."""
 
-    motion: Motion
-    """The motion."""
-
-    index: int
-    """The object's index."""
-
-    name: str
-    """Its name."""
-
-    body: SolidObject
-    """The object."""
-
-    moves: Mask
-    """(pieces,), whether it moves."""
-
-    carried: Mask
-    """(pieces,), whether it moves or clasps carry some of its weight."""
-
-    fully_carried: Mask
-    """(pieces,), whether clasps carry all of its weight."""
-
-    resting: Mask
-    """(pieces,), whether phases state that it rests on clasps."""
-
-    gripped: Mask
-    """(pieces,), whether phases state that edges grip it."""
+    motion: Motion  # The motion
+    index: int  # The object's index
+    name: str  # Its name
+    body: SolidObject  # The object
+    moves: Mask  # (pieces,), whether it moves
+    carried: Mask  # (pieces,), whether it moves or clasps carry some of its weight
+    fully_carried: Mask  # (pieces,), whether clasps carry all of its weight
+    resting: Mask  # (pieces,), whether phases state that it rests on clasps
+    gripped: Mask  # (pieces,), whether phases state that edges grip it
 
     @classmethod
     def of(cls, motion: Motion, index: int, name: str, body: SolidObject) -> _ObjectSupport:

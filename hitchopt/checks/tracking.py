@@ -55,8 +55,7 @@ from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
-GAMMA = 1.0
-"""Default ratio of vertex errors to drone errors."""
+GAMMA = 1.0  # Default ratio of vertex errors to drone errors
 
 DRAWING_SPEED = 0.03
 """[m/s] Largest speed of drones that draw a cable taut. Two drones of 2 kg at this speed stop at a
@@ -65,17 +64,13 @@ straight cable of 17 kN/m with 8 N, those of 130 g with 2 N."""
 DRAWING_SLOPE = 1000.0
 """[s] Length over a speed below DRAWING_SPEED: large, as slow drones are no limit."""
 
-HANGING_CHECKS = (CABLE_CLEARANCE, OBJECT_CLEARANCE)
-"""Distances of cables that hang."""
-
-HALVINGS = 40
-"""Bisection steps for the radius of hanging cables."""
+HANGING_CHECKS = (CABLE_CLEARANCE, OBJECT_CLEARANCE)  # Distances of cables that hang
+HALVINGS = 40  # Bisection steps for the radius of hanging cables
 
 NEWTON_ITERATIONS = 12
 """Iterations for the nearest point of an ellipsoid; an inexact normal only costs tightness."""
 
-PROJECTIONS = 24
-"""Alternating projections onto an ellipsoid and a body, to the same effect."""
+PROJECTIONS = 24  # Alternating projections onto an ellipsoid and a body, to the same effect
 
 
 def flattened(requirements: Requirements) -> Requirements:

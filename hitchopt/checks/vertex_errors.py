@@ -19,27 +19,17 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
 
-AT_REST = 1e-6
-"""[m/s], [m/s²] Largest velocity and acceleration at rest."""
-
-BEFORE = 1e-9
-"""[s] Time before the end of a piece at which it is evaluated."""
-
-SAME_PLACE = 1e-6
-"""[m] Largest distance of drones at rests that are evaluated once."""
+AT_REST = 1e-6  # [m/s], [m/s²] Largest velocity and acceleration at rest
+BEFORE = 1e-9  # [s] Time before the end of a piece at which it is evaluated
+SAME_PLACE = 1e-6  # [m] Largest distance of drones at rests that are evaluated once
 
 
 class RestErrors(NamedTuple):
     """Errors of vertices at a rest."""
 
-    time: float
-    """[s] Time of the rest."""
-
-    radii: Array
-    """(points,) [m], largest distances of vertices from their planned positions."""
-
-    parts: Array
-    """(points, 3) [m], contributions of cables, drones and friction, to first order."""
+    time: float  # [s] Time of the rest
+    radii: Array  # (points,) [m], largest distances of vertices from their planned positions
+    parts: Array  # (points, 3) [m], contributions of cables, drones and friction, to first order
 
 
 def states_at_rests(motion: Motion) -> States | None:

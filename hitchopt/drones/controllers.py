@@ -32,17 +32,13 @@ from hitchopt.values.fields import (
     with_fields,
 )
 
-Pair = tuple[float, float]
-"""One horizontal value, for x and y, and one vertical value, for z."""
+Pair = tuple[float, float]  # One horizontal value, for x and y, and one vertical value, for z
 
 DAMPING_RATIO = 5.0 / 6.0
 """kd / (2 √(kp m)) if no damping is specified: gains of 36/s² and 10/s times the mass."""
 
-INTEGRAL_TIME = 2.0
-"""[s] kp / ki if only the presence of an integral is specified."""
-
-MIN_TRACKING = 0.05
-"""[m] Tracking error of the stiffest loops, and lower bound for all others."""
+INTEGRAL_TIME = 2.0  # [s] kp / ki if only the presence of an integral is specified
+MIN_TRACKING = 0.05  # [m] Tracking error of the stiffest loops, and lower bound for all others
 
 PULL_TIME = 0.0225
 """[s] Velocity that the exported filter estimates under a steady pull, per acceleration.
@@ -170,8 +166,7 @@ class Gains(Record):
         return cls() if gains is None else mapping_of(Gains).check("gains", gains)
 
 
-LATENCY = 0.015
-"""[s] Longest stated delay of motion capture and commands for the stiffest gains."""
+LATENCY = 0.015  # [s] Longest stated delay of motion capture and commands for the stiffest gains
 
 UNSTATED_LATENCY = 0.02
 """[s] Delay that has to be stated.
@@ -203,39 +198,20 @@ UNBOUNDED: Pair = (math.inf, math.inf)
 class StockController:
     """A firmware's default parameters."""
 
-    kp: Pair
-    """Stiffness [1/s²], or [N/m] if not per mass."""
-
-    kd: Pair
-    """Damping [1/s], or [N s/m]."""
-
-    ki: Pair
-    """Gain of the integral [1/s³], or [N/(m s)]."""
-
-    measured_error: float
-    """[m] Tracking error in flight with the stiffness ``measured_stiffness``."""
-
-    measured_stiffness: float
-    """[1/s²] Horizontal kp over mass in that flight."""
-
-    ki_range: Pair = UNBOUNDED
-    """[m s] Largest integral of the position error."""
-
-    per_mass: bool = True
-    """True if gains are per mass."""
-
+    kp: Pair  # Stiffness [1/s²], or [N/m] if not per mass
+    kd: Pair  # Damping [1/s], or [N s/m]
+    ki: Pair  # Gain of the integral [1/s³], or [N/(m s)]
+    measured_error: float  # [m] Tracking error in flight with the stiffness ``measured_stiffness``
+    measured_stiffness: float  # [1/s²] Horizontal kp over mass in that flight
+    ki_range: Pair = UNBOUNDED  # [m s] Largest integral of the position error
+    per_mass: bool = True  # True if gains are per mass
     stiffest: Pair = UNBOUNDED
     """[1/s²], [1/s] Largest horizontal kp and its kd, over mass, that fly at delays up to
     LATENCY."""
 
-    feed_forward: bool = True
-    """True if streamed accelerations are added."""
-
-    max_tilt: float = 0.5 * math.pi
-    """[rad] Largest tilt that it commands."""
-
-    filtered: bool = True
-    """True if the Crazyflie's filter estimates its state."""
+    feed_forward: bool = True  # True if streamed accelerations are added
+    max_tilt: float = 0.5 * math.pi  # [rad] Largest tilt that it commands
+    filtered: bool = True  # True if the Crazyflie's filter estimates its state
 
 
 PID_LEVEL = 9.81 * math.radians(1.0)
@@ -281,8 +257,7 @@ STOCK: Mapping[str, StockController] = {
 }
 """Default parameters by controller name."""
 
-CONTROLLERS = tuple(STOCK)
-"""Names of flight controllers."""
+CONTROLLERS = tuple(STOCK)  # Names of flight controllers
 
 PX4_RANGES: Mapping[str, Pair] = {
     "MPC_XY_P": (0.0, 2.0),
@@ -498,8 +473,7 @@ class EstimatorParameters(OneLine):
         return {"kalman": kalman, "locSrv": errors}
 
 
-HELD = EstimatorParameters()
-"""Values that exports set for rigid bodies of several markers."""
+HELD = EstimatorParameters()  # Values that exports set for rigid bodies of several markers
 
 FIRMWARE = EstimatorParameters(
     level_noise=0.5, upright_noise=1.0, position_error=1e-2, attitude_error=4.5e-3
@@ -512,11 +486,8 @@ ONE_MARKER = EstimatorParameters(
 """Defaults of the firmware for drones with one marker; hitches do not hold with them."""
 
 
-GAIN_ROUNDING = 0.01
-"""Relative rounding of stated gains."""
-
-GAIN_UNITS = {"kp": ("/s²", "N/m"), "kd": ("/s", "N s/m")}
-"""Units of gains, per mass and in total."""
+GAIN_ROUNDING = 0.01  # Relative rounding of stated gains
+GAIN_UNITS = {"kp": ("/s²", "N/m"), "kd": ("/s", "N s/m")}  # Units of gains, per mass and in total
 
 
 def _check_stiffness(

@@ -56,8 +56,7 @@ class AttitudeLoop:
 PID_ATTITUDE = AttitudeLoop((636.0, 78.0), (106.0, 13.0), 1.06, (318.0, 13.0))
 """The Crazyflie's cascade of angles and rates, over its moments of inertia."""
 
-PX4_ATTITUDE = AttitudeLoop((130.0, 28.0), (20.0, 10.0))
-"""A typical tuning of PX4's rate loop."""
+PX4_ATTITUDE = AttitudeLoop((130.0, 28.0), (20.0, 10.0))  # A typical tuning of PX4's rate loop
 
 
 def attitude_loop(controller: str) -> AttitudeLoop:

@@ -128,11 +128,8 @@ def usual_ellipsoid(mass: float) -> tuple[float, float]:
     return radius, height
 
 
-DEFAULT_TENSION = 0.4
-"""[N] Default tension without a model."""
-
-DEFAULT_TILT = 0.25 * np.pi
-"""[rad] Tilt that limits the horizontal pull of models."""
+DEFAULT_TENSION = 0.4  # [N] Default tension without a model
+DEFAULT_TILT = 0.25 * np.pi  # [rad] Tilt that limits the horizontal pull of models
 
 TENSION_RATIO = 0.31
 """Default tension of a model over its largest horizontal pull: 0.4 N at 132 g, as without one."""

@@ -38,8 +38,7 @@ LONG_STEP = 2.0  # Step of samples above which a note is given [s]
 MIN_COSINE = 0.9
 """Minimum cosine between displacements and velocities: smaller ones indicate wrong units."""
 
-MAX_RATIO = 10.0
-"""Maximum ratio of the sizes of displacements and velocities, likewise."""
+MAX_RATIO = 10.0  # Maximum ratio of the sizes of displacements and velocities, likewise
 
 # Levels of a finding
 ERROR = "error"  # The flight fails
@@ -242,14 +241,9 @@ required_module = partial(optional_module, purpose="this format needs", extra="e
 MANIFEST = "export.json"
 """File name of an export's manifest, which has its contents, frame and checks."""
 
-NOTE = "README.txt"
-"""File name of the note in the folder of an export."""
-
-PLAN_COPY = "exported_plan.npz"
-"""File name of the copy of the plan in the folder of its export."""
-
-MANIFEST_FORMAT = "hitchopt-export/1"
-"""Format of the manifest."""
+NOTE = "README.txt"  # File name of the note in the folder of an export
+PLAN_COPY = "exported_plan.npz"  # File name of the copy of the plan in the folder of its export
+MANIFEST_FORMAT = "hitchopt-export/1"  # Format of the manifest
 
 
 def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any]:

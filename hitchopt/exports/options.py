@@ -16,8 +16,7 @@ from hitchopt.values import SCALAR, finite
 from hitchopt.values.fields import FLAGS, Key, Kind, Record, documented, points, words
 from hitchopt.values.units import ANGLE, DAMPING, NUMBER, STIFFNESS
 
-GROUP = "hitchopt.formats"
-"""Group of the entry points by which packages register formats."""
+GROUP = "hitchopt.formats"  # Group of the entry points by which packages register formats
 
 HOMES = {
     "crazyswarm2": "hitchopt.exports.formats.crazyflie:Crazyswarm2",

@@ -22,23 +22,14 @@ class TensionPolicy:
     which need the stiffness of their position loops.
     """
 
-    teams: tuple[Team, ...]
-    """Teams that form a hitch."""
-
-    is_flown: bool
-    """True if drones fly the files."""
-
-    sends_forces: bool
-    """True if receivers get the cable forces."""
-
+    teams: tuple[Team, ...]  # Teams that form a hitch
+    is_flown: bool  # True if drones fly the files
+    sends_forces: bool  # True if receivers get the cable forces
+    # True if tensions are lost unless the stiffness of position loops is known
     needs_stiffness: bool
-    """True if tensions are lost unless the stiffness of position loops is known."""
-
-    wants_offsets: bool
-    """True if the options request offsets in formats that do not require them."""
-
+    wants_offsets: bool  # True if the options request offsets in formats that do not require them
+    # Stiffness of all position loops that the options state [N/m]; None for the teams'
     stiffness: float | None
-    """Stiffness of all position loops that the options state [N/m]; None for the teams'."""
 
     @classmethod
     def of(cls, kind: Format, flight: Flight, options: ExportOptions) -> TensionPolicy:

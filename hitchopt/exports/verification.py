@@ -109,14 +109,11 @@ class Verdict:
 class Flown:
     """What an export contains, and what drones fly by it."""
 
-    setpoints: Flight
-    """The flight with setpoints as drones."""
-
+    setpoints: Flight  # The flight with setpoints as drones
+    # The flight without the offsets that hold the tension; None if there are none
     plan: Flight | None = None
-    """The flight without the offsets that hold the tension; None if there are none."""
-
+    # True if drones follow positions alone, so that only distances of setpoints are certified
     trails: bool = False
-    """True if drones follow positions alone, so that only distances of setpoints are certified."""
 
     @property
     def rules(self) -> tuple[CheckRule, ...]:

@@ -43,17 +43,10 @@ MIN_AREA_RATIO = 1.0 + 1e-6
 
 MAX_FILE_SIZE = 20_000_000  # [B] Largest file: a drawing of a single part is smaller
 
-MIN_EXTENT = 0.01
-"""[m] Smallest outline: smaller ones have other units, such as degrees."""
-
-MAX_EXTENT = 20.0
-"""[m] Largest outline: larger ones have other units, such as millimetres."""
-
-INCH = 0.0254
-"""[m] One inch."""
-
-PIXELS = 96.0
-"""Pixels of one inch in CSS: lengths with units in SVG become pixels."""
+MIN_EXTENT = 0.01  # [m] Smallest outline: smaller ones have other units, such as degrees
+MAX_EXTENT = 20.0  # [m] Largest outline: larger ones have other units, such as millimetres
+INCH = 0.0254  # [m] One inch
+PIXELS = 96.0  # Pixels of one inch in CSS: lengths with units in SVG become pixels
 
 PAGE_TOLERANCE = 5e-4  # Largest fraction of its bounding box that a page or frame leaves out
 

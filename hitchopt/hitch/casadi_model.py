@@ -386,23 +386,12 @@ def _pairs(drones: int, pairs: ArrayLike | None) -> tuple[list[int], list[int]]:
 class _Statics:
     """A hitch without its motion, as casadi expressions."""
 
-    positions: ca.SX
-    """(3, 2n) [m], positions of drones."""
-
-    cable_forces: ca.SX
-    """(3, 2n) [N], forces of cables on drones."""
-
-    legs: ca.SX
-    """(2n, 1) [m], distances of drones from their vertices; 0 at a chain's ends."""
-
-    cable_residuals: ca.SX
-    """(n, 1) [m], lengths of legs and edge minus that of the cable."""
-
-    clasp_residuals: ca.SX
-    """(3, clasps) [N], sums of all forces on a clasp."""
-
-    exterior_angles: ca.SX
-    """(clasps, 1) [rad], positive where the polygon is convex."""
+    positions: ca.SX  # (3, 2n) [m], positions of drones
+    cable_forces: ca.SX  # (3, 2n) [N], forces of cables on drones
+    legs: ca.SX  # (2n, 1) [m], distances of drones from their vertices; 0 at a chain's ends
+    cable_residuals: ca.SX  # (n, 1) [m], lengths of legs and edge minus that of the cable
+    clasp_residuals: ca.SX  # (3, clasps) [N], sums of all forces on a clasp
+    exterior_angles: ca.SX  # (clasps, 1) [rad], positive where the polygon is convex
 
     @classmethod
     def of(cls, team: Team, state: Mapping[str, ca.SX]) -> Self:

@@ -27,8 +27,7 @@ from hitchopt.values.fields import suggest_keywords
 NEWTON_ITERATIONS = 8
 """Number of Newton iterations; 6 reach the last digit for all ratios up to 1e9."""
 
-MIN_RELATIVE_SPAN = 1e-6
-"""Smallest horizontal distance of the ends, relative to L."""
+MIN_RELATIVE_SPAN = 1e-6  # Smallest horizontal distance of the ends, relative to L
 
 SERIES_LIMIT = 1e-3
 """σ below which power series replace closed forms, which lose digits by cancellation."""
@@ -133,20 +132,11 @@ def bounded_radius(
 class Catenary:
     """Cables (…) that hang between two ends."""
 
-    across: Array
-    """(…) [m], s, horizontal distances of the ends."""
-
-    rise: Array
-    """(…) [m], h, heights of the second ends over the first ones."""
-
-    length: Array
-    """(…) [m], L, lengths of the cables."""
-
-    sigma: Array
-    """(…), σ, the steepness."""
-
-    tilt: Array
-    """(…), ``h / Λ``."""
+    across: Array  # (…) [m], s, horizontal distances of the ends
+    rise: Array  # (…) [m], h, heights of the second ends over the first ones
+    length: Array  # (…) [m], L, lengths of the cables
+    sigma: Array  # (…), σ, the steepness
+    tilt: Array  # (…), ``h / Λ``
 
     @classmethod
     def between(cls, first: Array, second: Array, length: ArrayLike) -> Catenary:

@@ -44,20 +44,11 @@ SAG_RATIO = 4.0
 """A cable is slack if a horizontal span of its largest length would sag by more than the chord over
 this."""
 
-TENSION_TOLERANCE = 1e-10
-"""Relative tolerance of a cable's tension."""
-
-TENSION_ITERATIONS = 100
-"""Largest number of iterations of a cable's tension."""
-
-COMPLEX_STEP = 1e-30
-"""[m], [N] Step of complex-step derivatives."""
-
-FORCE_TOLERANCE = 1e-11
-"""[N] Force tolerance of all nodes without friction."""
-
-FRICTION_TOLERANCE = 1e-7
-"""[N] Force tolerance of all nodes with friction."""
+TENSION_TOLERANCE = 1e-10  # Relative tolerance of a cable's tension
+TENSION_ITERATIONS = 100  # Largest number of iterations of a cable's tension
+COMPLEX_STEP = 1e-30  # [m], [N] Step of complex-step derivatives
+FORCE_TOLERANCE = 1e-11  # [N] Force tolerance of all nodes without friction
+FRICTION_TOLERANCE = 1e-7  # [N] Force tolerance of all nodes with friction
 
 FORCE_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 """Rounding error of forces over the cables' stiffness times the coordinates."""
@@ -66,54 +57,30 @@ MIN_DAMPING = 1e-9
 """[N/m] Damping that is always added to the Hessian's diagonal, as clasps of slack cables are
 free."""
 
-FIRST_DAMPING = 1e-3
-"""[N/m] Damping after the first failed step."""
-
-MAX_DAMPING = 1e6
-"""[N/m] Largest damping."""
-
-NEWTON_ITERATIONS = 200
-"""Largest number of Newton iterations."""
-
-FRICTION_ITERATIONS = 20
-"""Largest number of Newton iterations per friction level."""
-
-HALVINGS = 30
-"""Largest number of halvings of a step."""
-
-DESCENT = 1e-4
-"""Fraction of the linear decrease that a step must attain (Armijo)."""
-
-ROUNDING = 1e-14
-"""Relative rounding error of energies."""
-
-MAX_STEP = 0.3
-"""[m] Largest displacement of a node in a step without friction."""
-
-MAX_FRICTION_STEP = 0.1
-"""[m] Largest displacement of a node in a step with friction."""
-
-INTEGRAL_ERROR = 1e-4
-"""[m] Position error within which an integral's force is not saturated."""
+FIRST_DAMPING = 1e-3  # [N/m] Damping after the first failed step
+MAX_DAMPING = 1e6  # [N/m] Largest damping
+NEWTON_ITERATIONS = 200  # Largest number of Newton iterations
+FRICTION_ITERATIONS = 20  # Largest number of Newton iterations per friction level
+HALVINGS = 30  # Largest number of halvings of a step
+DESCENT = 1e-4  # Fraction of the linear decrease that a step must attain (Armijo)
+ROUNDING = 1e-14  # Relative rounding error of energies
+MAX_STEP = 0.3  # [m] Largest displacement of a node in a step without friction
+MAX_FRICTION_STEP = 0.1  # [m] Largest displacement of a node in a step with friction
+INTEGRAL_ERROR = 1e-4  # [m] Position error within which an integral's force is not saturated
 
 FRICTION_LEVELS = np.linspace(0.1, 1.0, 10)
 """Fractions of the friction coefficient on the continuation path to an end of the band."""
 
-CABLE_COORDINATES = 12
-"""Number of coordinates of the four nodes of a cable."""
+CABLE_COORDINATES = 12  # Number of coordinates of the four nodes of a cable
 
 
 class Spans(NamedTuple):
     """Chords between consecutive nodes of cables: q-leg, edge and r-leg."""
 
-    chords: Any
-    """(…, S, n, 3, 3) [m], zero where a span does not exist."""
-
-    lengths: Any
-    """(…, S, n, 3) [m]"""
-
+    chords: Any  # (…, S, n, 3, 3) [m], zero where a span does not exist
+    lengths: Any  # (…, S, n, 3) [m]
+    # (…, S, n, 3) [m], of their midpoints over the height at which a cable has its tension
     heights: Any
-    """(…, S, n, 3) [m], of their midpoints over the height at which a cable has its tension."""
 
     @property
     def directions(self) -> Any:
@@ -124,27 +91,17 @@ class Spans(NamedTuple):
 class CableForces(NamedTuple):
     """Forces and energies of cables."""
 
-    on_ends: Any
-    """(…, S, n, 4, 3) [N], minus the forces of a cable on its nodes."""
-
-    lengths: Any
-    """(…, S, n) [m], sums of the arcs of a cable."""
-
-    energies: Any
-    """(…, S, n) [J]"""
+    on_ends: Any  # (…, S, n, 4, 3) [N], minus the forces of a cable on its nodes
+    lengths: Any  # (…, S, n) [m], sums of the arcs of a cable
+    energies: Any  # (…, S, n) [J]
 
 
 class SpringForces(NamedTuple):
     """Energies of position loops, and derivatives in drone positions, (S, 2n, 3) each."""
 
-    energies: Array
-    """[J]"""
-
-    slopes: Array
-    """[N]"""
-
-    curvatures: Array
-    """[N/m]"""
+    energies: Array  # [J]
+    slopes: Array  # [N]
+    curvatures: Array  # [N/m]
 
 
 class CableSlopes(NamedTuple):
@@ -154,61 +111,30 @@ class CableSlopes(NamedTuple):
     """(S, n, 12, 13), derivatives of forces with respect to a cable's nodes, with T varying, and to
     T."""
 
-    tensions: Array
-    """(S, n, 12) [N/m], derivative of T with respect to the nodes."""
-
+    tensions: Array  # (S, n, 12) [N/m], derivative of T with respect to the nodes
+    # (S, n) [N/m], minus the derivative of T with respect to the length; zero for slack cables
     softness: Array
-    """(S, n) [N/m], minus the derivative of T with respect to the length; zero for slack cables."""
 
 
 @dataclass(frozen=True, eq=False)
 class HitchEnergy:
     """The energy of S samples of a hitch."""
 
-    nodes: Indices
-    """(n, 4), nodes of each cable."""
-
-    exist: NDArray[np.bool_]
-    """(n, 3), whether q-leg, edge and r-leg exist."""
-
-    points: Indices
-    """(points,), node of each point."""
-
-    free: NDArray[np.bool_]
-    """(nodes, 3), whether a node moves along an axis: drones may be rigid."""
-
-    start: Array
-    """(S, nodes, 3) [m], setpoints of drones and planned clasps."""
-
-    stiffness: Array
-    """(2n, 3) [N/m], zero for rigid drones."""
-
-    integral: Array
-    """(2n, 3) [N], largest force of integrals, zero for rigid drones."""
-
-    loads: Array
-    """(S, nodes, 3) [N], feed-forward on drones and weights at clasps."""
-
-    lengths: Array
-    """(S, n) [m], L at the tension T₀."""
-
-    weight: float
-    """Weight of cables per length [N/m]."""
-
-    compliance: Array
-    """(n,) [m/N], a: stretch of a cable per tension."""
-
-    reference: Array
-    """(S, n) [N], T₀."""
-
-    heights: Array
-    """(S, n) [m], z₀."""
-
-    slack_tension: Array
-    """(S, n) [N], tension at which a cable becomes slack."""
-
-    alike: bool = False
-    """Whether both cables of every clasp slide alike, and so share its friction."""
+    nodes: Indices  # (n, 4), nodes of each cable
+    exist: NDArray[np.bool_]  # (n, 3), whether q-leg, edge and r-leg exist
+    points: Indices  # (points,), node of each point
+    free: NDArray[np.bool_]  # (nodes, 3), whether a node moves along an axis: drones may be rigid
+    start: Array  # (S, nodes, 3) [m], setpoints of drones and planned clasps
+    stiffness: Array  # (2n, 3) [N/m], zero for rigid drones
+    integral: Array  # (2n, 3) [N], largest force of integrals, zero for rigid drones
+    loads: Array  # (S, nodes, 3) [N], feed-forward on drones and weights at clasps
+    lengths: Array  # (S, n) [m], L at the tension T₀
+    weight: float  # Weight of cables per length [N/m]
+    compliance: Array  # (n,) [m/N], a: stretch of a cable per tension
+    reference: Array  # (S, n) [N], T₀
+    heights: Array  # (S, n) [m], z₀
+    slack_tension: Array  # (S, n) [N], tension at which a cable becomes slack
+    alike: bool = False  # Whether both cables of every clasp slide alike, and so share its friction
 
     @property
     def drones(self) -> int:

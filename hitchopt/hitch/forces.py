@@ -64,15 +64,10 @@ def chord_pull(tension: Any, half_weight: Any, level: Any = 1.0, rise: Any = Non
 class ClaspLoads:
     """Loads of the clasps of a hitch, and roll of their legs out of the plane."""
 
-    forces: Array
-    """(…, clasps, 3) [N], external forces ``w_k``; a weight points down."""
-
+    forces: Array  # (…, clasps, 3) [N], external forces ``w_k``; a weight points down
+    # (…, clasps, 2) [N], half of the weights of the legs of ``r_{k-1}`` and ``q_k``
     half_leg_weights: Array
-    """(…, clasps, 2) [N], half of the weights of the legs of ``r_{k-1}`` and ``q_k``."""
-
-    roll: Array
-    """(…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``."""
-
+    roll: Array  # (…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``
     half_edge_weights: Array
     """(…, clasps, 2) [N], half of the weights of edges k-1 and k, which reduce their pull along the
     chord below the tension."""
@@ -158,11 +153,8 @@ def clasp_loads(
 class LegPair(NamedTuple):
     """A quantity of both legs that meet at a clasp."""
 
-    behind: Series
-    """Its value for the leg of ``r_{k-1}``."""
-
-    ahead: Series
-    """Its value for the leg of ``q_k``."""
+    behind: Series  # Its value for the leg of ``r_{k-1}``
+    ahead: Series  # Its value for the leg of ``q_k``
 
 
 def closed_triangle(
@@ -369,8 +361,7 @@ def _check_balance(
     )
 
 
-BALANCE_RESERVE = 1e-6
-"""Reserve of tensions over those at which a clasp loses its balance."""
+BALANCE_RESERVE = 1e-6  # Reserve of tensions over those at which a clasp loses its balance
 
 
 def _unbalanced(

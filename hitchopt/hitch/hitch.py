@@ -34,11 +34,8 @@ that of cable lengths in plans."""
 SAGGING_LEG_TOLERANCE = 1e-2
 """The same tolerance for a heavy cable, whose sag the user may have neglected."""
 
-ALTITUDE_TOLERANCE = 1e-9
-"""[m] Altitudes that differ by less are the same."""
-
-UNIT_ERROR_RATIO = 100.0
-"""Edge over cable beyond which one of the two is probably in another unit."""
+ALTITUDE_TOLERANCE = 1e-9  # [m] Altitudes that differ by less are the same
+UNIT_ERROR_RATIO = 100.0  # Edge over cable beyond which one of the two is probably in another unit
 
 
 def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:

@@ -29,11 +29,9 @@ from hitchopt.values import Array, Indices
 class Bends:
     """The corners of a section's core about which edges bend."""
 
-    touching: NDArray[np.bool_]
-    """(…, n), whether an edge touches the section, and so bends."""
-
+    touching: NDArray[np.bool_]  # (…, n), whether an edge touches the section, and so bends
+    # (…, n, 2), the first and the last corner; twice the nearest one for a straight edge
     corners: Indices
-    """(…, n, 2), the first and the last corner; twice the nearest one for a straight edge."""
 
     def differ(self, other: Bends) -> NDArray[np.bool_]:
         """Return whether any edge bends about other corners (…)."""
@@ -49,27 +47,17 @@ class Bends:
 class Wraps:
     """Edges k from vertex k to vertex k+1, bent around a section if they touch it."""
 
-    leaving: Array
-    """(…, n, 2), unit vector ``a_k`` of the edge at ``p_k``."""
-
+    leaving: Array  # (…, n, 2), unit vector ``a_k`` of the edge at ``p_k``
+    # (…, n, 2), unit vector ``b_k`` of the edge at ``p_{k+1}``; ``a_k`` if it is straight
     arriving: Array
-    """(…, n, 2), unit vector ``b_k`` of the edge at ``p_{k+1}``; ``a_k`` if it is straight."""
-
-    lengths: Array
-    """(…, n) [m], lengths of cable between the clasps."""
-
-    arcs: Array
-    """(…, n) [m], arc lengths on the section."""
-
-    angles: Array
-    """(…, n) [rad], wrap angles ``θ_k``; 0 for a straight edge."""
-
+    lengths: Array  # (…, n) [m], lengths of cable between the clasps
+    arcs: Array  # (…, n) [m], arc lengths on the section
+    angles: Array  # (…, n) [rad], wrap angles ``θ_k``; 0 for a straight edge
     contacts: Array
     """(…, n, 2, 2) [m], ends of the arc; of a straight edge twice the point nearest to the
     section."""
 
-    bends: Bends
-    """The corners about which edges bend."""
+    bends: Bends  # The corners about which edges bend
 
     @property
     def clasp_angles(self) -> Array:
@@ -135,14 +123,9 @@ def _sides_between(section: Section, first: Indices, last: Indices) -> Array | f
 class Tangents(NamedTuple):
     """Tangents from points to a section."""
 
-    directions: Array
-    """(…, 2), unit vectors from the points."""
-
-    lengths: Array
-    """(…) [m], distances of the points from their contacts."""
-
-    corners: Indices
-    """(…), corners of the core that they touch."""
+    directions: Array  # (…, 2), unit vectors from the points
+    lengths: Array  # (…) [m], distances of the points from their contacts
+    corners: Indices  # (…), corners of the core that they touch
 
 
 def _tangents(section: Section, points: Array, side: float, about: Indices | None) -> Tangents:
@@ -269,11 +252,8 @@ class Grip(OneLine):
 
 # Stability of yaw.
 
-MIN_PART = 1e-4
-"""[m] Smallest divisor of second derivatives of lengths."""
-
-MIN_STIFFNESS = 1e-9
-"""Added stiffness of moves over the largest one, with which they are unique."""
+MIN_PART = 1e-4  # [m] Smallest divisor of second derivatives of lengths
+MIN_STIFFNESS = 1e-9  # Added stiffness of moves over the largest one, with which they are unique
 
 
 class YawTerms(NamedTuple):
@@ -286,17 +266,11 @@ class YawTerms(NamedTuple):
     section turns away: edges pull it about its corners until it sticks out between the clasps.
     """
 
-    turns: Array
-    """(…, n, 2) [N m], by the turn: ``T (u·c) (1 + u·c/d)``."""
-
+    turns: Array  # (…, n, 2) [N m], by the turn: ``T (u·c) (1 + u·c/d)``
+    # (…, n, 2, 2) [N], by the turn and the move of a clasp from the section: ``-T m (u·c)/d``
     both: Array
-    """(…, n, 2, 2) [N], by the turn and the move of a clasp from the section: ``-T m (u·c)/d``."""
-
-    parts: Array
-    """(…, n, 2, 2, 2) [N/m], by that move: ``T m m'/d``."""
-
-    legs: Array
-    """(…, n, 2, 2, 2) [N/m], by the move of a clasp: the same for legs."""
+    parts: Array  # (…, n, 2, 2, 2) [N/m], by that move: ``T m m'/d``
+    legs: Array  # (…, n, 2, 2, 2) [N/m], by the move of a clasp: the same for legs
 
     def matrix(self, moves: Array) -> Array:
         """Return the second derivatives (…, 2n + 3, 2n + 3) by the turn, then by moves.
@@ -353,11 +327,8 @@ def least_stiffness_of_turn(terms: YawTerms, errors: YawTerms) -> Array:
 
 # Balance of clasps.
 
-DAMPING = 1e-2
-"""Damping over stiffness, which keeps clasps from turning about nearly round objects."""
-
-DIFFERENCE_STEP = 1e-6
-"""[m] Step of the central differences of the edges' pulls."""
+DAMPING = 1e-2  # Damping over stiffness, which keeps clasps from turning about nearly round objects
+DIFFERENCE_STEP = 1e-6  # [m] Step of the central differences of the edges' pulls
 
 MAX_STEP = 0.5
 """Largest step of a clasp over the shorter of its straight parts, within which pulls are nearly
@@ -388,11 +359,8 @@ def _parts(polygon: Array, z: Array, contacts: Array) -> Array:
 class PlannedClasps(NamedTuple):
     """Clasps from which only a share of the displacement to balanced ones applies."""
 
-    positions: Array
-    """(…, n, 2) [m], relative to the centre of mass."""
-
-    share: Array
-    """(…), the share of the displacement that applies."""
+    positions: Array  # (…, n, 2) [m], relative to the centre of mass
+    share: Array  # (…), the share of the displacement that applies
 
 
 def step_toward_balance(

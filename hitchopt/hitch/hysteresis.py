@@ -27,35 +27,16 @@ from hitchopt.hitch.team import Layout, Team
 from hitchopt.hitch.twists import half_axes
 from hitchopt.values import Array
 
-STICKING_STEPS = 12
-"""Newton steps to the balance without slips."""
-
-SLIDING_STEPS = 12
-"""Newton steps to the balance with slips, from their linear prediction."""
-
-ROUNDS = 2
-"""Linear steps of slips per sample."""
-
-FIRST_STEPS = 30
-"""Newton steps to the balance at the start."""
-
-MAX_STEP = 0.1
-"""[m] Largest displacement of a node in a step."""
-
-MAX_RESIDUAL = 1e-3
-"""[N] Largest force residual of a balance."""
-
-BALANCED = 0.01 * MAX_RESIDUAL
-"""[N] Largest slope at which Newton steps end."""
-
-DAMPING = 1e-9
-"""[N/m] Damping of steps, as clasps of slack cables are free."""
-
-PROJECTIONS = 300
-"""Largest number of projected gradient steps."""
-
-CONVERGED = 1e-6
-"""Change of parts at which these end."""
+STICKING_STEPS = 12  # Newton steps to the balance without slips
+SLIDING_STEPS = 12  # Newton steps to the balance with slips, from their linear prediction
+ROUNDS = 2  # Linear steps of slips per sample
+FIRST_STEPS = 30  # Newton steps to the balance at the start
+MAX_STEP = 0.1  # [m] Largest displacement of a node in a step
+MAX_RESIDUAL = 1e-3  # [N] Largest force residual of a balance
+BALANCED = 0.01 * MAX_RESIDUAL  # [N] Largest slope at which Newton steps end
+DAMPING = 1e-9  # [N/m] Damping of steps, as clasps of slack cables are free
+PROJECTIONS = 300  # Largest number of projected gradient steps
+CONVERGED = 1e-6  # Change of parts at which these end
 
 
 def held_vertices(team: Team, samples: Mapping[str, Array], frictions: Array, held: Array) -> Array:

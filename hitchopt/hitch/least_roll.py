@@ -28,14 +28,10 @@ OTHER_LENGTHS_RATIO = 0.9
 class RollSearch:
     """A search of the smallest roll with which leg lengths keep a task's margins."""
 
-    margin_of: Callable[[LegTask], float]
-    """Returns the margin of the leg lengths with a roll."""
-
-    candidates: tuple[float, ...]
-    """[rad] Rolls in ascending order."""
-
+    margin_of: Callable[[LegTask], float]  # Returns the margin of the leg lengths with a roll
+    candidates: tuple[float, ...]  # [rad] Rolls in ascending order
+    # Number of bisections that refine the first sufficient one, down to the one before
     bisections: int
-    """Number of bisections that refine the first sufficient one, down to the one before."""
 
     def least(self, task: LegTask, sign: float) -> float | None:
         """Return the smallest roll [rad] that suffices, of a sign; None if no candidate does.

@@ -25,25 +25,17 @@ from hitchopt.hitch.forces import cable_of, chord_pull, leg_vectors, sag_factors
 from hitchopt.hitch.team import Layout, Team
 from hitchopt.values import Array, Indices
 
-CABLE = "cable"
-"""The loss that plans can survive: of a cable with both its drones."""
+CABLE = "cable"  # The loss that plans can survive: of a cable with both its drones
 
 
 @dataclass(frozen=True, eq=False)
 class Losses:
     """The drones that move after the losses that a team survives, one row each."""
 
-    drone: Indices
-    """(m,), the drone that moves."""
-
-    lost: Indices
-    """(m,), the cable that is lost then."""
-
-    clasp: Indices
-    """(m,), the clasp that vanishes, from which the drone's leg leads."""
-
-    far: Indices
-    """(m,), the other vertex of the drone's cable, which stays."""
+    drone: Indices  # (m,), the drone that moves
+    lost: Indices  # (m,), the cable that is lost then
+    clasp: Indices  # (m,), the clasp that vanishes, from which the drone's leg leads
+    far: Indices  # (m,), the other vertex of the drone's cable, which stays
 
     @property
     def robots(self) -> Indices:

@@ -24,20 +24,11 @@ from hitchopt.values import Array, Indices
 class Edge:
     """An edge of a hitch."""
 
-    along: Series
-    """Its direction."""
-
-    cable: Series
-    """[m], its cable length."""
-
-    pull: Series
-    """[N], along its chord."""
-
-    tension: Series
-    """[N], of its cable."""
-
-    sag: Any
-    """[1/m²], factor of ``forces.cable_of`` for its cable; None without weight."""
+    along: Series  # Its direction
+    cable: Series  # [m], its cable length
+    pull: Series  # [N], along its chord
+    tension: Series  # [N], of its cable
+    sag: Any  # [1/m²], factor of ``forces.cable_of`` for its cable; None without weight.
 
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
@@ -57,14 +48,9 @@ class Edge:
 class CableSpan(NamedTuple):
     """A cable between two points."""
 
-    cable: Series
-    """[m], its length."""
-
-    chord: Series
-    """[m], distance of the points."""
-
-    sag: Any
-    """[1/m²], factor of ``forces.cable_of``; None without weight."""
+    cable: Series  # [m], its length
+    chord: Series  # [m], distance of the points
+    sag: Any  # [1/m²], factor of ``forces.cable_of``; None without weight.
 
 
 def cable_of_span(vector: Series, tension: Series, weight: Any) -> CableSpan:
@@ -81,14 +67,9 @@ def cable_of_span(vector: Series, tension: Series, weight: Any) -> CableSpan:
 class ClaspLegs(NamedTuple):
     """The legs r_{k-1} and q_k at a clasp ``p_k``."""
 
-    directions: LegPair
-    """Unit vectors from the clasp."""
-
-    chords: LegPair
-    """[m], distances of their drones from the clasp."""
-
-    r_leg: Series
-    """[m], ``e_{k-1}``, the cable length of the first leg."""
+    directions: LegPair  # Unit vectors from the clasp
+    chords: LegPair  # [m], distances of their drones from the clasp
+    r_leg: Series  # [m], ``e_{k-1}``, the cable length of the first leg
 
 
 def clasp_legs(

@@ -23,14 +23,9 @@ from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.values import Array, Indices
 
-SEPARATION = 0
-"""Kind of pairs of two drones."""
-
-CABLE = 1
-"""Kind of pairs of a drone and a cable."""
-
-CROSSING = 2
-"""Kind of pairs of two cables."""
+SEPARATION = 0  # Kind of pairs of two drones
+CABLE = 1  # Kind of pairs of a drone and a cable
+CROSSING = 2  # Kind of pairs of two cables
 
 
 MAX_DIRECT_BODIES = 64
@@ -60,8 +55,7 @@ Kind = Literal[
 """Kinds of bodies: ``taut`` are parts of taut cables, ``held`` objects that a team holds,
 ``movable`` those that downwash would move, ``walls`` those of the arena."""
 
-Bodies = tuple[Kind, ...]
-"""The kind of single bodies, or both kinds of a pair."""
+Bodies = tuple[Kind, ...]  # The kind of single bodies, or both kinds of a pair
 
 FIXED: frozenset[Kind] = frozenset({"objects", "movable", "walls", "ground"})
 """Kinds of bodies that do not move with a team."""
@@ -126,11 +120,8 @@ def scales_of(requirements: Requirements) -> Array:
 class TautBodies:
     """The bodies of a hitch."""
 
-    layout: Layout
-    """Its indices."""
-
-    nodes: Indices
-    """(bodies, 2), both ends."""
+    layout: Layout  # Its indices
+    nodes: Indices  # (bodies, 2), both ends
 
     @classmethod
     @lru_cache(maxsize=64)

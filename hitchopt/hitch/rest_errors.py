@@ -36,8 +36,7 @@ REMAINDER_FACTOR = 2.0
 UNSTATED_ERROR = 0.02
 """[m] Error of drones at rest without controllers, measurements and ``limits.tracking``."""
 
-MAX_RESIDUAL = 1e-6
-"""[N] Largest force residual of a hitch at rest."""
+MAX_RESIDUAL = 1e-6  # [N] Largest force residual of a hitch at rest
 
 
 def responses(energy: HitchEnergy, x: Array) -> Array:
@@ -198,15 +197,9 @@ def vertex_errors(team: Team, samples: Mapping[str, Array], sizes: ErrorSizes) -
 class FirstOrder:
     """Displacements by errors to first order, in one sample at rest."""
 
-    radii: Array
-    """(points,) [m], bounds for all vertices."""
-
-    parts: Array
-    """(points, 3) [m], contributions as in ``VertexErrors``."""
-
-    moves: Array
-    """(points, 3) [m], moves by the errors that move the worst vertex farthest."""
-
+    radii: Array  # (points,) [m], bounds for all vertices
+    parts: Array  # (points, 3) [m], contributions as in ``VertexErrors``
+    moves: Array  # (points, 3) [m], moves by the errors that move the worst vertex farthest
     worst_errors: Array
     """(5n, 3), these errors: of n lengths, first components [m], of 2n setpoints [m], and 2n
     coefficients of friction, first components."""

@@ -13,11 +13,8 @@ import numpy as np
 
 from hitchopt.values import Array, Indices
 
-ORDER = 3
-"""Order of the highest derivative in jets: the jerk."""
-
-JET = ORDER + 1
-"""Number of columns of a jet."""
+ORDER = 3  # Order of the highest derivative in jets: the jerk
+JET = ORDER + 1  # Number of columns of a jet
 
 UP = [0.0, 0.0, 1.0]
 

@@ -42,17 +42,13 @@ from hitchopt.values import Array, Indices
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-SPREAD_MARGIN = 1.5
-"""Margin, distance over its limit, of the leg lengths called ``spread``."""
-
-LIMIT_MARGIN = 1.001
-"""Margin of all other leg lengths, which allows for small errors of a plan."""
+SPREAD_MARGIN = 1.5  # Margin, distance over its limit, of the leg lengths called ``spread``
+LIMIT_MARGIN = 1.001  # Margin of all other leg lengths, which allows for small errors of a plan
 
 CROSSING_MARGIN = 1.005
 """Largest margin of cables without a common clasp, since ``spread`` concerns drones."""
 
-MARGIN_ROUNDING = 1e-9
-"""Relative rounding of margins: one that misses its bound by less is reached."""
+MARGIN_ROUNDING = 1e-9  # Relative rounding of margins: one that misses its bound by less is reached
 
 PROGRAM_RESERVE = 1e-7
 """Reserve of margins in programs, which allows for their residuals: relative to a margin, and the
@@ -61,8 +57,7 @@ largest deficit that counts as none."""
 PENALTY = 1e3
 """[m²] Penalty weight per robot and unit of margin: distances have priority over deviation."""
 
-MAX_WEIGHT_SHIFT = 0.02
-"""[m] Largest lateral shift of drones as the weight of their legs changes."""
+MAX_WEIGHT_SHIFT = 0.02  # [m] Largest lateral shift of drones as the weight of their legs changes
 
 MAX_POLYGON_ITERATIONS = 60
 """Maximum number of convex programs from one initial guess on one polygon."""
@@ -71,11 +66,8 @@ MAX_PATH_ITERATIONS = 20
 """Maximum number of convex programs along a path, which converges within ten iterations or not at
 all."""
 
-MIN_GAIN = 1e-6
-"""Smallest relative improvement of merit; mirror images differ by less."""
-
-STEP_TOLERANCE = 1e-9
-"""[m] Largest change of a leg in the last iteration."""
+MIN_GAIN = 1e-6  # Smallest relative improvement of merit; mirror images differ by less
+STEP_TOLERANCE = 1e-9  # [m] Largest change of a leg in the last iteration
 
 COARSE_STEP_TOLERANCE = 1e-5
 """[m] The same if the first split with the margin suffices, since smaller steps do not increase the
@@ -85,11 +77,8 @@ MAX_CYCLE = 4
 """Iterations without improvement of merit after which the search cycles. Horizontal legs that cross
 each other make it cycle."""
 
-CYCLE_STEP = 1e-3
-"""[m] Smallest step of a search that cycles."""
-
-MIN_DEVIATION = 1e-12
-"""[m²] Deviation below which leg lengths equal their reference."""
+CYCLE_STEP = 1e-3  # [m] Smallest step of a search that cycles
+MIN_DEVIATION = 1e-12  # [m²] Deviation below which leg lengths equal their reference
 
 UNEVEN_FRACTION = 0.3
 """Fraction of a cable's slack in one of its legs, where a search starts from uneven splits."""
@@ -106,46 +95,26 @@ MIN_SLOPE = 1e-9
 class LegLengths:
     """Leg lengths with their quality."""
 
-    q_legs: Array
-    """(J, n) [m], ``d``."""
-
-    margin: float
-    """Smallest margin of all distances."""
-
-    deviation: float
-    """``Σ (d - reference)²`` [m²]."""
+    q_legs: Array  # (J, n) [m], ``d``
+    margin: float  # Smallest margin of all distances
+    deviation: float  # ``Σ (d - reference)²`` [m²]
 
 
 @dataclass(frozen=True, eq=False)
 class LegTask:
     """A problem for the leg lengths of a team on J polygons: one, or the knots of a path."""
 
-    team: Team
-    """The team, with the cables to be split."""
-
-    requirements: Requirements
-    """Distances, and the arena."""
-
-    polygons: Array
-    """(J, points, 2) [m]"""
-
-    reference: Array
-    """(J, n) [m], ``d`` whose deviation is minimised."""
-
-    shortest_leg: float
-    """[m], for both legs of every cable."""
-
-    margin: float | Array
-    """Lower bound of each distance over its limit; one, or one per knot (J,)."""
-
+    team: Team  # The team, with the cables to be split
+    requirements: Requirements  # Distances, and the arena
+    polygons: Array  # (J, points, 2) [m]
+    reference: Array  # (J, n) [m], ``d`` whose deviation is minimised
+    shortest_leg: float  # [m], for both legs of every cable
+    margin: float | Array  # Lower bound of each distance over its limit; one, or one per knot (J,)
+    # [m²], weight of the fractions' second differences along the knots; 0 for none
     roughness: float = 0.0
-    """[m²], weight of the fractions' second differences along the knots; 0 for none."""
-
-    fixed: NDArray[np.bool_] | None = None
-    """(J,), mask of knots whose legs equal the reference."""
-
+    fixed: NDArray[np.bool_] | None = None  # (J,), mask of knots whose legs equal the reference
+    # One or (J, clasps) [rad], of the legs out of their plane; None if there is none
     roll: Array | float | None = None
-    """One or (J, clasps) [rad], of the legs out of their plane; None if there is none."""
 
     @classmethod
     def at_rest(
@@ -303,41 +272,27 @@ class LegTask:
 class Lines(NamedTuple):
     """Lines on which nodes slide: ``base + slope d``."""
 
-    base: Array
-    """(…, J·count, 2 or 3) [m]"""
-
-    slope: Array
-    """(…, J·count, 2 or 3)"""
+    base: Array  # (…, J·count, 2 or 3) [m]
+    slope: Array  # (…, J·count, 2 or 3)
 
 
 class BodyPairs(NamedTuple):
     """Pairs of bodies that may be close."""
 
-    polygon: Indices
-    """(pairs,), index of their polygon."""
-
-    first: Indices
-    """(pairs, 2), nodes at the ends of the first bodies."""
-
-    second: Indices
-    """(pairs, 2), nodes at the ends of the second bodies."""
-
-    kind: Indices
-    """(pairs,), kind of pair."""
+    polygon: Indices  # (pairs,), index of their polygon
+    first: Indices  # (pairs, 2), nodes at the ends of the first bodies
+    second: Indices  # (pairs, 2), nodes at the ends of the second bodies
+    kind: Indices  # (pairs,), kind of pair
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
     """Leg lengths of an iteration, with the nodes and distances at these lengths."""
 
-    split: LegLengths
-    """The leg lengths."""
-
-    nodes: Array
-    """(J·count, 2 or 3) [m], positions."""
-
+    split: LegLengths  # The leg lengths
+    nodes: Array  # (J·count, 2 or 3) [m], positions
+    # (pairs, 2 or 3) [m], shortest vectors between the bodies of pairs, heights scaled
     offsets: Array
-    """(pairs, 2 or 3) [m], shortest vectors between the bodies of pairs, heights scaled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,14 +304,9 @@ class LegBodies:
     are never close for leg lengths between ``start`` and the extremes are omitted.
     """
 
-    task: LegTask
-    """The problem for the leg lengths."""
-
-    start: Array
-    """(J, n) [m], leg lengths of the initial guess."""
-
-    extremes: tuple[Array, ...] = ()
-    """(J, n) [m] each, extreme leg lengths."""
+    task: LegTask  # The problem for the leg lengths
+    start: Array  # (J, n) [m], leg lengths of the initial guess
+    extremes: tuple[Array, ...] = ()  # (J, n) [m] each, extreme leg lengths
 
     @classmethod
     def within_bounds(cls, task: LegTask) -> LegBodies:

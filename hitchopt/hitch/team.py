@@ -42,11 +42,8 @@ from hitchopt.values.fields import (
     words,
 )
 
-CLOSED = "closed"
-"""Topology of a polygon of cables."""
-
-OPEN = "open"
-"""Topology of a chain of cables."""
+CLOSED = "closed"  # Topology of a polygon of cables
+OPEN = "open"  # Topology of a chain of cables
 
 PER_ROBOT = "one for all or one per robot"
 
@@ -55,39 +52,22 @@ PER_ROBOT = "one for all or one per robot"
 class Layout:
     """Indices into arrays of points, cables (or edges) and drones."""
 
-    robots: int
-    """The number n of cables."""
-
-    points: int
-    """The number of points, n or n + 1."""
-
-    starts: Indices
-    """(n,), the point at which each edge starts."""
-
-    ends: Indices
-    """(n,), the point at which each edge ends."""
-
+    robots: int  # The number n of cables
+    points: int  # The number of points, n or n + 1
+    starts: Indices  # (n,), the point at which each edge starts
+    ends: Indices  # (n,), the point at which each edge ends
+    # (clasps,), the points at which two cables bend around each other: all, or all inner ones
     clasps: Indices
-    """(clasps,), the points at which two cables bend around each other: all, or all inner ones."""
-
-    ahead: Indices
-    """(clasps,), the cable whose edge starts at each clasp."""
-
-    behind: Indices
-    """(clasps,), the cable whose edge ends at each clasp."""
-
-    has_leg: NDArray[np.bool_]
-    """(n, 2), whether q_k and r_k have a leg."""
-
+    ahead: Indices  # (clasps,), the cable whose edge starts at each clasp
+    behind: Indices  # (clasps,), the cable whose edge ends at each clasp
+    has_leg: NDArray[np.bool_]  # (n, 2), whether q_k and r_k have a leg
+    # (2n,), the point of each drone q0, r0, q1, …: the other end of its leg, if any
     anchors: Indices
-    """(2n,), the point of each drone q0, r0, q1, …: the other end of its leg, if any."""
-
     pulled_to: Indices
     """(2n,), the next point along the cable of each drone: its anchor, or without a leg the other
     end of its edge."""
 
-    neighbours: Indices
-    """(n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself."""
+    neighbours: Indices  # (n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself
 
     @property
     def closed(self) -> bool:
@@ -287,8 +267,7 @@ def _friction(key: str, value: object) -> float | tuple[float, float]:
 _FRICTION_FORMS = either(units.FRICTION, list_of(units.FRICTION, 2, 2))
 FRICTION_RANGE = replace(_FRICTION_FORMS, check=_friction)
 
-MAX_ROBOTS = 10_000
-"""Largest number of robots, checked before any memory is allocated."""
+MAX_ROBOTS = 10_000  # Largest number of robots, checked before any memory is allocated
 
 
 def _loads(load: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
@@ -607,8 +586,7 @@ def _names(kinds: str, count: int) -> tuple[str, ...]:
     return tuple(f"{kind}{number}" for number in range(count) for kind in kinds)
 
 
-MAX_DRONES = 2 * MAX_ROBOTS
-"""Largest number of drones, checked before any memory is allocated."""
+MAX_DRONES = 2 * MAX_ROBOTS  # Largest number of drones, checked before any memory is allocated
 
 
 @with_suggestions

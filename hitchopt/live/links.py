@@ -48,8 +48,7 @@ LANDINGS = 2
 takes control from its high-level commander, and half a second later the firmware stops the
 motors: a second command lands it."""
 
-LANDING_PERIOD = 0.2
-"""Time between these commands [s]."""
+LANDING_PERIOD = 0.2  # Time between these commands [s]
 
 # Commands by key; ``toggle`` is pause or resume, ``quit`` ends a flight before its start. Signals
 # add ``end``, which is land or quit

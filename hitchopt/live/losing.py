@@ -50,20 +50,14 @@ from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, check_choice, known, nonnegative
 
-CHAIN = "chain"
-"""Name of the team that remains, if the plan's team has none."""
-
-LOST = "lost"
-"""Name of the team of both drones of the lost robot, after that of its team."""
-
-ASIDE = 3.0
-"""Distance of the lost robot's drones from all others, seen from above, over the radius."""
+CHAIN = "chain"  # Name of the team that remains, if the plan's team has none
+LOST = "lost"  # Name of the team of both drones of the lost robot, after that of its team
+ASIDE = 3.0  # Distance of the lost robot's drones from all others, seen from above, over the radius
 
 NOTHING_BEARS = "without one of its cables all others are loose until they are a chain"
 """Why nothing that a hitch holds is held after a loss, by a grip or by clasps below it."""
 
-HOW = ("hold", "land")
-"""What follows once the chain is taut."""
+HOW = ("hold", "land")  # What follows once the chain is taut
 
 LANDINGS = ("release_and_land", "land")
 """How a chain lands, in order: untied, or else straight down with its hitch."""
@@ -73,40 +67,20 @@ LANDINGS = ("release_and_land", "land")
 class Remaining:
     """What remains after the loss of a robot."""
 
-    flight: Flight
-    """The flight from the loss on."""
-
+    flight: Flight  # The flight from the loss on
     certificate: Certificate
 
+    # [s] Plan time at which it begins, at most MIN_SPACING from the loss; or that of a stop
     begin: float
-    """[s] Plan time at which it begins, at most MIN_SPACING from the loss; or that of a stop."""
-
-    reacts: float
-    """[s] Time from the loss until all react."""
-
-    stops: float
-    """[s] Time from the loss until the plan's clock has stopped."""
-
-    rest: float
-    """[s] Plan time at which it has stopped."""
-
-    starts: float
-    """[s] Time from the loss until drones at the ends of the chain begin to move."""
-
-    taut: float
-    """[s] Time from the loss until its tensions are back."""
-
-    rise: float
-    """[m] How far the lost robot's drones rise."""
-
-    lift: PiecewisePolynomial
-    """(1,) [m] How far they have risen, until they are up."""
-
-    robots: dict[str, str]
-    """Robots of the plan by those of the chain."""
-
-    drones: tuple[str, ...]
-    """The drones of the flight, in its order, by their names in the plan."""
+    reacts: float  # [s] Time from the loss until all react
+    stops: float  # [s] Time from the loss until the plan's clock has stopped
+    rest: float  # [s] Plan time at which it has stopped
+    starts: float  # [s] Time from the loss until drones at the ends of the chain begin to move
+    taut: float  # [s] Time from the loss until its tensions are back
+    rise: float  # [m] How far the lost robot's drones rise
+    lift: PiecewisePolynomial  # (1,) [m] How far they have risen, until they are up
+    robots: dict[str, str]  # Robots of the plan by those of the chain
+    drones: tuple[str, ...]  # The drones of the flight, in its order, by their names in the plan
 
 
 class _Place(NamedTuple):

@@ -282,11 +282,8 @@ class Player(OneLine):
 class _Following(NamedTuple):
     """What a player flies next."""
 
-    flight: Flight
-    """Its flight, from rest."""
-
-    listed: Indices
-    """(drones,), places in it of the drones of setpoints."""
+    flight: Flight  # Its flight, from rest
+    listed: Indices  # (drones,), places in it of the drones of setpoints
 
 
 def _checked_rate(rate: float) -> float:

@@ -118,8 +118,7 @@ def _stiffest(kind: Quadrotor) -> Quadrotor:
     return with_fields(kind, controller=name, gains=Gains.of(gains))
 
 
-RIM_OVERHANG = 0.03
-"""[m] Overhang over the body of rims that suggestions try."""
+RIM_OVERHANG = 0.03  # [m] Overhang over the body of rims that suggestions try
 
 
 def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
@@ -146,8 +145,7 @@ def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[C
         yield Change(edits[0].key, "of the mean radius", "none", new, "", relative, changed, edits)
 
 
-TRIED_ROLLS = (15, 30)
-"""[deg] Rolls of legs at an end that suggestions try."""
+TRIED_ROLLS = (15, 30)  # [deg] Rolls of legs at an end that suggestions try
 
 VERTEX_SHIFTS = (0.1, 0.25)
 """Shifts of a vertex of a goal outward that suggestions try, over its distance to the centroid."""

@@ -20,8 +20,7 @@ from hitchopt.planners.fitting import separating_cables
 from hitchopt.planners.grasps import shortest_judge
 from hitchopt.steps.knob import Knob
 
-MIN_SIZE = 0.005
-"""Smallest relative change that is suggested."""
+MIN_SIZE = 0.005  # Smallest relative change that is suggested
 
 PULL_SHARE = 0.9
 """Largest tension of suggestions over the largest horizontal pull, since motion needs more."""
@@ -103,11 +102,9 @@ def _outlines_between(first: Outline, last: Outline) -> list[Outline]:
 class CablesAround:
     """What is known of cables that hold an object."""
 
-    lengths: list[float] = field(default_factory=list)
-    """[m] Lengths that carry it."""
-
+    lengths: list[float] = field(default_factory=list)  # [m] Lengths that carry it
+    # Polygons around it and below its rim, if no length carries it
     outlines: list[Outline] = field(default_factory=list)
-    """Polygons around it and below its rim, if no length carries it."""
 
 
 def _cables_around(problem: Problem, name: str) -> CablesAround:

@@ -34,11 +34,8 @@ from hitchopt.values.fields import keys_of
 SPACE_CHECKS = checks_relaxed_by("length") | {"tracking_radius", "vertex_error", "rest_shift"}
 """Constraints that longer cables may repair."""
 
-TIME_CHECKS = checks_relaxed_by("time")
-"""Constraints that slower motion may repair."""
-
-FORCE_CHECKS = checks_relaxed_by("tension")
-"""Constraints that another tension may repair."""
+TIME_CHECKS = checks_relaxed_by("time")  # Constraints that slower motion may repair
+FORCE_CHECKS = checks_relaxed_by("tension")  # Constraints that another tension may repair
 
 DURATION_CHECKS = frozenset({"duration", PLAN_DURATION})
 """Constraints that a faster plan or more time repairs."""
@@ -49,20 +46,14 @@ DISTANCE_CHECKS = names_of(distances_of("drones", "cables")) | {
 }
 """Constraints that more distance repairs."""
 
-LOAD_CHECKS = frozenset({"load"})
-"""Constraints that a higher tension or a lighter object repairs."""
-
-GRIP_CHECKS = frozenset({"grip"})
-"""Constraints that a higher tension or a rougher object repairs."""
-
-MAX_FRICTION = 1.0
-"""Maximum coefficient of friction of suggestions."""
+LOAD_CHECKS = frozenset({"load"})  # Constraints that a higher tension or a lighter object repairs
+GRIP_CHECKS = frozenset({"grip"})  # Constraints that a higher tension or a rougher object repairs
+MAX_FRICTION = 1.0  # Maximum coefficient of friction of suggestions
 
 WEIGHT_SHARE = 0.4
 """Tension of two cables that hold an object, over its weight divided by its friction."""
 
-MAX_TILT_DEG = 80.0
-"""Maximum tilt of suggestions [deg]."""
+MAX_TILT_DEG = 80.0  # Maximum tilt of suggestions [deg]
 
 LOAD_SHARE = 0.95
 """First mass to try, as a fraction of the maximum mass at rest, since carrying adds forces."""

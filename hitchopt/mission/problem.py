@@ -201,14 +201,9 @@ def _no_step(key: str, value: object) -> InputError:
 class PlacedStep(NamedTuple):
     """A step of one of several teams, with its place in the file."""
 
-    key: str
-    """Key of the step, such as ``mission[0].left[1]``."""
-
-    step: Step
-    """The step."""
-
-    ends_item: bool
-    """Whether it is the team's last step in its item of the mission."""
+    key: str  # Key of the step, such as ``mission[0].left[1]``.
+    step: Step  # The step
+    ends_item: bool  # Whether it is the team's last step in its item of the mission
 
 
 @documented

@@ -40,8 +40,7 @@ from hitchopt.mission.trials import Trial, faults_of
 from hitchopt.steps.knob import Knob
 from hitchopt.values import known
 
-BUDGET = 18.0
-"""Default time after which no further plan is started [s]: a refusal takes about 20 s."""
+BUDGET = 18.0  # Default time after which no further plan is started [s]: a refusal takes about 20 s
 
 TRIAL_SHARE = 1.0 / 3.0
 """Share of this time after which the plan of a change is given up: others may be found at once."""
@@ -54,8 +53,7 @@ SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 LOWERING_SIZES = tuple(size / (1.0 + size) for size in (*SIZES, 9.0))
 """Relative sizes of changes that lower a quantity towards zero, by the same factors."""
 
-COARSE_SIZES = (0.1, 0.25, 0.6, 1.5)
-"""Relative sizes of changes of problems whose plans take long."""
+COARSE_SIZES = (0.1, 0.25, 0.6, 1.5)  # Relative sizes of changes of problems whose plans take long
 
 COARSE_LOWERING = tuple(size / (1.0 + size) for size in COARSE_SIZES)
 """Relative sizes of changes that lower a quantity of such problems towards zero."""
@@ -66,18 +64,14 @@ QUICK_SHARE = 0.2
 SIZE_DECIMALS = 6  # Decimals within which sizes tie
 RESOLUTION = 0.005  # Tolerance of the bisection, relative to the new value
 
-MAX_SIZE_RATIO = 4.0
-"""Maximum ratio of a suggestion's size to the smallest one."""
-
-MAX_SUGGESTIONS = 3
-"""Maximum number of suggestions."""
+MAX_SIZE_RATIO = 4.0  # Maximum ratio of a suggestion's size to the smallest one
+MAX_SUGGESTIONS = 3  # Maximum number of suggestions
 
 MAX_GROWTH = 20.0
 """Largest increase of a length in suggestions, over its value or extent: if more is needed, another
 value is wrong."""
 
-MAX_CHANGES = 3
-"""Maximum number of changes in one suggestion."""
+MAX_CHANGES = 3  # Maximum number of changes in one suggestion
 
 MAX_ROUNDS = 2 * MAX_CHANGES
 """Maximum number of changes in one suggestion if several changes of one quantity count each."""
@@ -367,28 +361,18 @@ def _is_absurd(change: Change) -> bool:
 class _Ladder:
     """The sizes of a knob that are tried one after the other."""
 
-    knob: Knob
-    """The knob."""
-
-    failed: float
-    """Largest size that is known to fail."""
-
-    is_done: bool = False
-    """Whether a size succeeded, or no larger one can."""
+    knob: Knob  # The knob
+    failed: float  # Largest size that is known to fail
+    is_done: bool = False  # Whether a size succeeded, or no larger one can
 
 
 @dataclass(frozen=True, eq=False)
 class _KnobSearch:
     """Search for the smallest changes of knobs that succeed."""
 
-    problem: Problem
-    """The problem that is changed."""
-
-    attempt: Attempt
-    """Plans a change of it."""
-
-    for_part: bool = False
-    """Whether a change also succeeds if it repairs the faults that it covers."""
+    problem: Problem  # The problem that is changed
+    attempt: Attempt  # Plans a change of it
+    for_part: bool = False  # Whether a change also succeeds if it repairs the faults that it covers
 
     def succeeds(self, trial: Trial) -> bool:
         """Return whether a change suffices."""

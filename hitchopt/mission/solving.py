@@ -49,14 +49,10 @@ AT_START = "at the start (t = 0)"  # When a limit is violated before the first s
 class CertifiedMotion:
     """Motion of one team's whole plan with its certificate."""
 
-    motion: Motion
-    """The motion."""
-
-    certificate: Certificate
-    """Its certificate."""
-
+    motion: Motion  # The motion
+    certificate: Certificate  # Its certificate
+    # Paths of the groups of steps; None for one that has none, or several
     paths: tuple[Path | None, ...] = ()
-    """Paths of the groups of steps; None for one that has none, or several."""
 
 
 def check_controllers(team: Team) -> None:

@@ -44,11 +44,8 @@ PEAK_DERIVATIVES = 35.0 / 16.0, 7.5132, 52.5  # Maxima of the first three deriva
 class CertifiedFlight:
     """Flight of a whole plan with its certificate."""
 
-    flight: Flight
-    """The flight."""
-
-    certificate: Certificate
-    """Its certificate."""
+    flight: Flight  # The flight
+    certificate: Certificate  # Its certificate
 
 
 def schedule_teams(

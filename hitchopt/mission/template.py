@@ -38,8 +38,7 @@ SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
 COLUMN = 26  # Column of comments
 WIDTH = 96  # Maximum length of a line
 
-MIN_ROBOTS = 3
-"""Smallest number of robots for which problems are written."""
+MIN_ROBOTS = 3  # Smallest number of robots for which problems are written
 
 MAX_ROBOTS = 12
 """Largest number of robots for which problems are written; larger teams need rolled legs."""
@@ -51,17 +50,10 @@ shorter ones drones come too close as pairs swap or as legs are loosened."""
 EDGES = np.linspace(1.0, 2.0, 11) / 0.17
 """Edges of polygons over that radius, in the order of the search: from 1 m for Crazyflies."""
 
-PULL = 0.15
-"""Distance by which a vertex is pulled, over the edge."""
-
-SPARE = 0.15
-"""[m] Cable length beyond the shortest, and at least within the longest."""
-
-ROUND = 0.05
-"""Step of cable lengths [m]."""
-
-HEIGHT = 0.62
-"""Altitude over cable length, at which hanging cables clear the ground."""
+PULL = 0.15  # Distance by which a vertex is pulled, over the edge
+SPARE = 0.15  # [m] Cable length beyond the shortest, and at least within the longest
+ROUND = 0.05  # Step of cable lengths [m]
+HEIGHT = 0.62  # Altitude over cable length, at which hanging cables clear the ground
 
 NAMES = {3: "a triangle", 4: "a square", 5: "a pentagon", 6: "a hexagon", 8: "an octagon"}
 

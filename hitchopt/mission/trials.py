@@ -14,25 +14,18 @@ from hitchopt.mission.changes import Change, broken_constraints, constraint_name
 from hitchopt.mission.solving import solve_problem
 from hitchopt.planners.candidates import outcome
 
-RELATIVE_TOLERANCE = 1e-3
-"""Largest relative change of a violation that counts as none."""
+RELATIVE_TOLERANCE = 1e-3  # Largest relative change of a violation that counts as none
 
 
 class Fault(NamedTuple):
     """What breaks a constraint in a step."""
 
-    value: float
-    """The value, or its negative if the limit is an upper one: a smaller one is worse."""
-
-    limit: float
-    """The limit."""
+    value: float  # The value, or its negative if the limit is an upper one: a smaller one is worse
+    limit: float  # The limit
 
 
-UNKNOWN_STEP = -1
-"""Index in place of an unknown step, before all others."""
-
-Faults = Mapping[tuple[str, int], Fault]
-"""Faults by constraint and step."""
+UNKNOWN_STEP = -1  # Index in place of an unknown step, before all others
+Faults = Mapping[tuple[str, int], Fault]  # Faults by constraint and step
 
 
 def faults_of(error: InfeasibleError) -> Faults:
@@ -55,20 +48,12 @@ def _first_step(faults: Faults) -> int:
 class Trial:
     """A change that was planned: certified, infeasible, or failed for another reason."""
 
-    change: Change
-    """The change."""
-
-    before: Faults
-    """Faults of the problem without it."""
-
-    duration: float | None = None
-    """Duration of the certified plan [s]; None without one."""
-
+    change: Change  # The change
+    before: Faults  # Faults of the problem without it
+    duration: float | None = None  # Duration of the certified plan [s]; None without one
+    # What the problem still breaks; None if it is certified, or if planning failed otherwise
     error: InfeasibleError | None = None
-    """What the problem still breaks; None if it is certified, or if planning failed otherwise."""
-
-    given_up: bool = False
-    """Whether planning took longer than its time."""
+    given_up: bool = False  # Whether planning took longer than its time
 
     @classmethod
     def of(cls, change: Change, before: Faults, *, optimiser: bool, seconds: float) -> Trial:

@@ -42,8 +42,7 @@ from hitchopt.values.fields import keys_of
 NAME = re.compile(r"[^\W\d][\w-]*")
 """Valid names of teams; teams of external plans are named plan.team."""
 
-REST_RATE = 1e-6
-"""Largest speed [m/s] and acceleration [m/s²] at rest."""
+REST_RATE = 1e-6  # Largest speed [m/s] and acceleration [m/s²] at rest
 
 
 def team_label(team: str, name: str) -> str:
@@ -305,11 +304,8 @@ class Flight(OneLine):
 class JointRequirements(NamedTuple):
     """Requirements between several teams."""
 
-    requirements: Requirements
-    """Distances, with the objects of all teams."""
-
-    poses: PiecewisePolynomial
-    """(objects, 5), poses of these objects, as in ``Motion``."""
+    requirements: Requirements  # Distances, with the objects of all teams
+    poses: PiecewisePolynomial  # (objects, 5), poses of these objects, as in ``Motion``
 
 
 def _joint_requirements(

@@ -224,9 +224,7 @@ def reduce_constants(coefficients: Array) -> Array:
 class Supports:
     """Distribution of an object's weight over the clasps below it."""
 
-    shares: Array
-    """(…, clasps), fractions ``μ_k`` of its mass."""
-
+    shares: Array  # (…, clasps), fractions ``μ_k`` of its mass
     gains: Array
     """(…, clasps, 2) [1/m], ``G_k``: derivatives of the shares with respect to the point at which
     the force line meets the clasps' plane, in the object's frame."""
@@ -348,20 +346,11 @@ def held_pieces(motion: Motion, name: str, by: HoldBy) -> NDArray[np.bool_]:
 class RestingObject:
     """An object whose rim rests on clasps on some pieces of a motion."""
 
-    index: int
-    """Its index."""
-
-    body: SolidObject
-    """The object."""
-
-    pose: Array
-    """(pieces, 5, degree + 1), x, y, z [m], cosine and sine of yaw."""
-
-    held: NDArray[np.bool_]
-    """(pieces,), whether it rests on clasps."""
-
-    load_share: Array
-    """(pieces, degree + 1), the fraction of its weight that clasps carry there."""
+    index: int  # Its index
+    body: SolidObject  # The object
+    pose: Array  # (pieces, 5, degree + 1), x, y, z [m], cosine and sine of yaw
+    held: NDArray[np.bool_]  # (pieces,), whether it rests on clasps
+    load_share: Array  # (pieces, degree + 1), the fraction of its weight that clasps carry there
 
     @property
     def moves(self) -> NDArray[np.bool_]:
@@ -439,14 +428,9 @@ def rim_savings(team: Team, body: SolidObject, vertices: Array, tensions: Array)
 class RimDistances(NamedTuple):
     """Distances (…, n) [m] along the lines of edges that extend to a rim."""
 
-    onward: Array
-    """Distances from the end of each edge to the rim's edge."""
-
-    back: Array
-    """Distances from the start of each edge to the rim's edge."""
-
-    edges: Array
-    """The lengths of edges."""
+    onward: Array  # Distances from the end of each edge to the rim's edge
+    back: Array  # Distances from the start of each edge to the rim's edge
+    edges: Array  # The lengths of edges
 
 
 def _distances_to_rim(body: SolidObject, vertices: Array) -> RimDistances:

@@ -23,11 +23,8 @@ from hitchopt.values import check_instance, counted, lazy, sequence, true_runs
 JOINT = 1e-6
 """[s] Largest gap between phases, and between a change of the cables' state and a break."""
 
-WAIT = "wait"
-"""Name of phases in which a team waits at rest while others fly."""
-
-TAKE_OFF = "take-off"
-"""Name of phases in which tying begins, up from the ground."""
+WAIT = "wait"  # Name of phases in which a team waits at rest while others fly
+TAKE_OFF = "take-off"  # Name of phases in which tying begins, up from the ground
 
 SETTLE = "settle"
 """Name of phases at the ends of steps in which vertices over-travel against friction."""
@@ -78,8 +75,7 @@ FREE_STATES = frozenset(CableState) - TAUT_STATES - {CableState.NONE}
 UNLINKED_STATES = frozenset({CableState.GROUND, CableState.FREE, CableState.DRAWN})
 """States in which no cables hold each other."""
 
-OPEN_STATES = frozenset({CableState.ROLLING})
-"""States of a hitch in which clasps may be open."""
+OPEN_STATES = frozenset({CableState.ROLLING})  # States of a hitch in which clasps may be open
 
 LAID_STATES = OPEN_STATES | {CableState.LAYING, CableState.BENT}
 """States in which neighbouring cables may lie across each other."""
@@ -179,11 +175,8 @@ SOURCES: dict[str, frozenset[str]] = {
 """Curves that need not be passed, and the fields from which they follow without friction, wrapped
 edges and objects that move."""
 
-PLAIN: Any = None
-"""Stands for a curve that follows from its sources (``Motion``)."""
-
-PLAIN_TOLERANCE = 1e-9
-"""[m], [N] Largest difference from a plain curve that counts as none."""
+PLAIN: Any = None  # Stands for a curve that follows from its sources (``Motion``)
+PLAIN_TOLERANCE = 1e-9  # [m], [N] Largest difference from a plain curve that counts as none
 
 SHARE_TOLERANCE = 2.0**-40
 """Load shares this close to 0 or 1 are set to 0 or 1: elevating the degree rounds them."""

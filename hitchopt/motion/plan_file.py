@@ -39,26 +39,16 @@ from hitchopt.values import Indices, line, text
 
 FORMAT = "hitchopt-flight/1"
 
-GROUPS = "groups"
-"""Key of the settings, and folder of the arrays, of teams."""
-
-OTHERS = "others"
-"""Key of the settings, and folder of the arrays, of external plans."""
-
-RULES = "rules"
-"""Key of the settings of custom rules, which plans without them omit."""
+GROUPS = "groups"  # Key of the settings, and folder of the arrays, of teams
+OTHERS = "others"  # Key of the settings, and folder of the arrays, of external plans
+RULES = "rules"  # Key of the settings of custom rules, which plans without them omit
 
 MAX_COEFFICIENT = 1e5
 """[m], [N] Largest coefficient of a plan: sums of such numbers stay far from overflow."""
 
-MAX_DEGREE = 60
-"""Largest degree of a plan's curves."""
-
-MAX_STEPS = 2**31
-"""Upper bound of a step's index, exclusive."""
-
-TOLERANCE = 1e-9
-"""Largest difference of the curves of an external plan from those of its own file."""
+MAX_DEGREE = 60  # Largest degree of a plan's curves
+MAX_STEPS = 2**31  # Upper bound of a step's index, exclusive
+TOLERANCE = 1e-9  # Largest difference of the curves of an external plan from those of its own file
 
 
 class Records(NamedTuple):

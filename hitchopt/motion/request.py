@@ -39,8 +39,7 @@ PLANNER_ONLY = ("position_error", "height_ratio")
 TOLERANCE = 1e-9
 """Largest relative difference of equal numbers: conversion of angles to degrees rounds them."""
 
-POSITION_TOLERANCE = 1e-6
-"""[m] Largest difference of a plan's start from the request."""
+POSITION_TOLERANCE = 1e-6  # [m] Largest difference of a plan's start from the request
 
 SLACK = {"request.start": POSITION_TOLERANCE}
 """Largest differences of numbers by the beginning of their keys."""

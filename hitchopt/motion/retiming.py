@@ -138,11 +138,8 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
 class ClockPlaces(NamedTuple):
     """Where a clock is in a plan at K times."""
 
-    pieces: Indices
-    """(K,): pieces of the plan."""
-
-    jets: Array
-    """(K, 4): plan time [s] and its derivatives by time."""
+    pieces: Indices  # (K,): pieces of the plan
+    jets: Array  # (K, 4): plan time [s] and its derivatives by time
 
 
 def _subdivide(times: Array, edges: Array) -> Array:

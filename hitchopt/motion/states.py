@@ -20,17 +20,13 @@ from hitchopt.motion.motion import Motion
 from hitchopt.support import Feature, Neighbour, refused_value, unsupported
 from hitchopt.values import Array, as_array, nonnegative, positive
 
-HOVER = np.array([0.0, 0.0, GRAVITY])
-"""[m/s²] Specific thrust that compensates gravity."""
+HOVER = np.array([0.0, 0.0, GRAVITY])  # [m/s²] Specific thrust that compensates gravity
 
 END_TOLERANCE = 1e-6
 """[s] Minimum distance of a plan's end from the last regular sample at which it is sampled."""
 
-MIN_THRUST = 1e-9
-"""[N] Smallest divisor of thrusts."""
-
-MAX_SAMPLES = 50_000_000
-"""Maximum number of samples; more are refused before memory is allocated."""
+MIN_THRUST = 1e-9  # [N] Smallest divisor of thrusts
+MAX_SAMPLES = 50_000_000  # Maximum number of samples; more are refused before memory is allocated
 
 TAUT_RATIO = 0.9
 """Smallest tension of a taut hitch over the team's; vertices of loose ones are ill-defined."""
@@ -50,20 +46,11 @@ DRONE_FIELDS = (
 ITERATIONS = 30
 """Maximum Newton steps for the final hitch's legs and roll; without weight, the first is exact."""
 
-CONVERGED = 1e-12
-"""[m], [rad] Largest step at convergence."""
-
-ROLL_STEP = 1e-6
-"""[rad] Finite difference of roll."""
-
-ROLL_ROUNDING = 1e-9
-"""[rad] Roll that counts as zero."""
-
-MAX_ROLL_STEP = 0.5
-"""[rad] Largest change of a roll in one step."""
-
-MAX_DEVIATION = 1e-6
-"""[m] Largest distance of a drone from that of the recovered hitch."""
+CONVERGED = 1e-12  # [m], [rad] Largest step at convergence
+ROLL_STEP = 1e-6  # [rad] Finite difference of roll
+ROLL_ROUNDING = 1e-9  # [rad] Roll that counts as zero
+MAX_ROLL_STEP = 0.5  # [rad] Largest change of a roll in one step
+MAX_DEVIATION = 1e-6  # [m] Largest distance of a drone from that of the recovered hitch
 
 BLOCK = 1 << 20
 """Number of coordinates of drones evaluated at a time: their coefficients take ten times the memory
@@ -205,11 +192,8 @@ class States(OneLine):
 class Attitudes:
     """Attitudes of drones, and the rates of their bodies."""
 
-    quaternions: Array
-    """(…, 4), w, x, y, z, from body to world."""
-
-    body_rates: Array
-    """(…, 3) [rad/s], about the body's own axes."""
+    quaternions: Array  # (…, 4), w, x, y, z, from body to world
+    body_rates: Array  # (…, 3) [rad/s], about the body's own axes
 
 
 def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitudes:

@@ -14,17 +14,10 @@ from hitchopt.geometry.vectors import length
 from hitchopt.objects.bodies import Section, SolidObject
 from hitchopt.values import Array
 
-CONTACT_GAP = 1e-6
-"""[m] Largest gap between surfaces that touch."""
-
-REST_DRIFT = 1e-9
-"""[m] Largest change of position, or of heading, of objects at rest."""
-
-GRID = 121
-"""Number of grid points on a side of the area in which footings are sampled."""
-
-DIRECTIONS = 72
-"""Number of directions in which footings are sampled."""
+CONTACT_GAP = 1e-6  # [m] Largest gap between surfaces that touch
+REST_DRIFT = 1e-9  # [m] Largest change of position, or of heading, of objects at rest
+GRID = 121  # Number of grid points on a side of the area in which footings are sampled
+DIRECTIONS = 72  # Number of directions in which footings are sampled
 
 
 def in_frame(pose: Array, points: Array) -> Array:

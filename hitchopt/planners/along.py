@@ -63,11 +63,8 @@ def plan_of(
 OBSTACLE_CHECKS = names_of(distances_from("objects"))
 """Checks of obstacles, over or around which hitches and objects fly."""
 
-DETOUR_CHECKS = OBSTACLE_CHECKS | {"friction_shift"}
-"""Checks whose violations detours may repair."""
-
-MAX_DETOURS = 6
-"""Maximum number of detours of one path that are tried."""
+DETOUR_CHECKS = OBSTACLE_CHECKS | {"friction_shift"}  # Checks whose violations detours may repair
+MAX_DETOURS = 6  # Maximum number of detours of one path that are tried
 
 
 def past_obstacles(
@@ -174,8 +171,7 @@ def transport_plan(task: StepTask, to: Array) -> StepPlan:
     return with_friction_feedforward(plan, timed=False)
 
 
-MAX_ROLLING = 4
-"""Maximum number of paths with legs that roll that are certified for one flight."""
+MAX_ROLLING = 4  # Maximum number of paths with legs that roll that are certified for one flight
 
 
 def action_plan(

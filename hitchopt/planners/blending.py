@@ -31,14 +31,10 @@ BLEND_SHAPES = (2, 6, 14)
 class PassedStep(NamedTuple):
     """A step of a flight without a stop."""
 
-    name: str
-    """Name of its phase."""
-
+    name: str  # Name of its phase
+    # Returns hitches that the flight passes in the step: about a number of them, and the end
     hitches: Callable[[int], list[Hitch]]
-    """Returns hitches that the flight passes in the step: about a number of them, and the end."""
-
-    duration: float | None
-    """Least duration of its share of the flight [s], or None."""
+    duration: float | None  # Least duration of its share of the flight [s], or None
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +47,11 @@ class BlendedSteps:
     shapes of the routes on which the steps stop; then legs roll on these paths.
     """
 
-    task: StepTask
-    """The task of the first step."""
-
-    steps: Sequence[PassedStep]
-    """The steps."""
-
+    task: StepTask  # The task of the first step
+    steps: Sequence[PassedStep]  # The steps
+    # Returns the certified plans of the steps that stop, or raises InfeasibleError
     stopped: Callable[[], Sequence[StepPlan]]
-    """Returns the certified plans of the steps that stop, or raises InfeasibleError."""
-
-    free_legs: bool = False
-    """Whether the hitches between the steps may have other legs and roll."""
+    free_legs: bool = False  # Whether the hitches between the steps may have other legs and roll
 
     def plan(self) -> StepPlan:
         """Return the first certified plan."""

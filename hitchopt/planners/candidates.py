@@ -34,11 +34,8 @@ T = TypeVar("T")
 U = TypeVar("U")
 T_co = TypeVar("T_co", covariant=True)
 
-CANDIDATE_COST = 100.0
-"""Effort of planning and certifying a candidate without a search."""
-
-MIN_LIMIT = 1e-9
-"""Smallest limit by which a violation is divided."""
+CANDIDATE_COST = 100.0  # Effort of planning and certifying a candidate without a search
+MIN_LIMIT = 1e-9  # Smallest limit by which a violation is divided
 
 
 @dataclass(eq=False)
@@ -49,14 +46,9 @@ class Effort:
     0.4 ms in programs; a candidate without a search takes longer than its cost, often 0.5 s.
     """
 
-    limit: float = math.inf
-    """Effort within which candidates and programs start."""
-
-    spent: float = 0.0
-    """Effort so far."""
-
-    whole: Effort | None = None
-    """Effort of which it is a part; None if it is the whole."""
+    limit: float = math.inf  # Effort within which candidates and programs start
+    spent: float = 0.0  # Effort so far
+    whole: Effort | None = None  # Effort of which it is a part; None if it is the whole
 
     def spend(self, cost: float) -> bool:
         """Add the cost of a candidate or a program, and return whether it is within all limits."""
@@ -69,15 +61,10 @@ class Effort:
 class Candidate(Generic[T_co]):
     """One way to meet a goal."""
 
-    name: str
-    """What it is, a noun in the singular: candidates of one name are counted."""
-
-    plan: Callable[[], T_co]
-    """Return its certified plan, or raise InfeasibleError."""
-
+    name: str  # What it is, a noun in the singular: candidates of one name are counted
+    plan: Callable[[], T_co]  # Return its certified plan, or raise InfeasibleError
+    # Return the candidate that avoids a failure of this one; None if nothing can be changed
     amended: Callable[[InfeasibleError], Candidate[T_co] | None] | None = None
-    """Return the candidate that avoids a failure of this one; None if nothing can be changed."""
-
     explained: Callable[[InfeasibleError], InfeasibleError] | None = None
     """Return its error with what only a long analysis shows, for the best failure of all.
 
@@ -119,11 +106,8 @@ def explained_once() -> Iterator[None]:
 class Failure(NamedTuple):
     """A candidate that failed."""
 
-    candidate: Candidate[Any]
-    """The candidate."""
-
-    error: HitchoptError
-    """What it breaks, or where its planner failed."""
+    candidate: Candidate[Any]  # The candidate
+    error: HitchoptError  # What it breaks, or where its planner failed
 
 
 def first_certified(

@@ -12,8 +12,7 @@ from hitchopt.planners.task import StepPlan
 FRICTION_SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
 """Fractions of the friction that feed-forward compensates; the first certified one is used."""
 
-MAX_SLOWDOWN = 1.5
-"""Maximum ratio of a step's duration with friction feed-forward to that without."""
+MAX_SLOWDOWN = 1.5  # Maximum ratio of a step's duration with friction feed-forward to that without
 
 NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
@@ -21,11 +20,8 @@ NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 class Compensated(NamedTuple):
     """A plan in which legs lean against friction."""
 
-    plan: StepPlan
-    """The plan."""
-
-    share: float
-    """Fraction of the friction that is compensated."""
+    plan: StepPlan  # The plan
+    share: float  # Fraction of the friction that is compensated
 
 
 def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:

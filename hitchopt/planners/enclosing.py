@@ -51,8 +51,7 @@ from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
-Planner: TypeAlias = Callable[[StepTask], StepPlan]
-"""A planner of one motion."""
+Planner: TypeAlias = Callable[[StepTask], StepPlan]  # A planner of one motion
 
 
 def object_of(task: StepTask, name: str) -> SolidObject:

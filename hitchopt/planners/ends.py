@@ -79,11 +79,9 @@ def split_hitch(
 class End(NamedTuple):
     """The end of a step."""
 
-    hitch: Hitch
-    """Hitch after the step."""
-
+    hitch: Hitch  # Hitch after the step
+    # Description of the limit that the legs of the paper's action would break, if they do
     reason: str = ""
-    """Description of the limit that the legs of the paper's action would break, if they do."""
 
 
 def end_of_morph(

@@ -30,56 +30,37 @@ from hitchopt.values.fields import with_fields
 AXES = 24
 """Number of directions of stretch of enclosing polygons; those of the section's sides are added."""
 
-ROTATIONS = 16
-"""Number of rotations of enclosing polygons within a period of symmetry."""
+ROTATIONS = 16  # Number of rotations of enclosing polygons within a period of symmetry
 
 ASPECT_RATIOS = np.geomspace(0.25, 4.0, 41)
 """Aspect ratios of enclosing polygons over the section's own."""
 
-MIN_TURN = 0.6
-"""Smallest exterior angle, over the mean."""
-
-MIN_EDGE = 0.5
-"""Smallest edge, over the mean."""
-
-ROUNDING = 1e-9
-"""Tolerance within which lengths or margins are equal."""
-
-CENTIMETRE = 0.01
-"""[m] Step of cable lengths."""
+MIN_TURN = 0.6  # Smallest exterior angle, over the mean
+MIN_EDGE = 0.5  # Smallest edge, over the mean
+ROUNDING = 1e-9  # Tolerance within which lengths or margins are equal
+CENTIMETRE = 0.01  # [m] Step of cable lengths
 
 UNBALANCED_STRIDE = 20
 """Distance of cable lengths with unbalanced legs that are tried, in steps of CENTIMETRE."""
 
-RANGE_STRIDE = 5
-"""Distance of cable lengths that are tried for a range, in steps of CENTIMETRE."""
-
-MAX_EXTRA_LENGTH = 1.0
-"""[m] Largest length beyond the one that legs need."""
-
-WEIGHT_SAFETY = 2.0
-"""Smallest tension over the lowest one at which heavy cables balance."""
+RANGE_STRIDE = 5  # Distance of cable lengths that are tried for a range, in steps of CENTIMETRE
+MAX_EXTRA_LENGTH = 1.0  # [m] Largest length beyond the one that legs need
+WEIGHT_SAFETY = 2.0  # Smallest tension over the lowest one at which heavy cables balance
 
 MAX_EDGE_WEIGHT = 0.35
 """Largest weight of half an edge over its tension. The sag of second order errs in the balance by
 the fourth power of it over six: 0.0025 of the tension, half of what clasps may be out of balance.
 """
 
-MAX_TENSION_RATIO = 30.0
-"""Largest over smallest tension of the search."""
-
-TENSIONS = 60
-"""Number of tensions of the search."""
+MAX_TENSION_RATIO = 30.0  # Largest over smallest tension of the search
+TENSIONS = 60  # Number of tensions of the search
 
 
 class Range(NamedTuple):
     """An interval of cable lengths [m] or tensions [N]."""
 
-    smallest: float
-    """Smallest value."""
-
-    largest: float
-    """Largest value; infinite without a bound."""
+    smallest: float  # Smallest value
+    largest: float  # Largest value; infinite without a bound
 
 
 def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
@@ -267,11 +248,8 @@ def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, te
 class CableMargin(NamedTuple):
     """A cable length that is tried."""
 
-    cable_length: float
-    """[m] Length of the longest cable of the team."""
-
-    margin: float
-    """Smallest margin of legs, as of ``_margin``."""
+    cable_length: float  # [m] Length of the longest cable of the team
+    margin: float  # Smallest margin of legs, as of ``_margin``
 
 
 def _cable_margins(

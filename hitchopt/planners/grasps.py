@@ -71,23 +71,12 @@ LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 LENGTH_LIMITED = names_of(distances_of("drones", "cables"))
 """Constraints of a loaded hold that longer cables may satisfy, or shorter ones."""
 
-LIGHT = 1e-3
-"""[kg] Mass with which holds are judged that hold nothing."""
-
-MASS_RESOLUTION = 0.02
-"""Resolution of the largest mass that is certified, as a fraction of it."""
-
-BORNE_RESOLUTION = 0.004
-"""Resolution of the mass that is borne at rest, as a fraction of it."""
-
-OVERLOAD = 1.05
-"""Mass at which the check that binds is found, over the largest that is carried."""
-
-BISECTIONS = 8
-"""Maximum number of masses that are certified of a hold."""
-
-SMALLEST_SHARE = 0.7
-"""Smallest share of a mass that does not fit that is tried next but one."""
+LIGHT = 1e-3  # [kg] Mass with which holds are judged that hold nothing
+MASS_RESOLUTION = 0.02  # Resolution of the largest mass that is certified, as a fraction of it
+BORNE_RESOLUTION = 0.004  # Resolution of the mass that is borne at rest, as a fraction of it
+OVERLOAD = 1.05  # Mass at which the check that binds is found, over the largest that is carried
+BISECTIONS = 8  # Maximum number of masses that are certified of a hold
+SMALLEST_SHARE = 0.7  # Smallest share of a mass that does not fit that is tried next but one
 
 ASCENTS = (1.25, 1.25, 1.1)
 """Masses with which linear programs search for a hold that bears more, over the largest so far."""
@@ -101,48 +90,36 @@ NOMINAL_SHARE = 0.5
 EXTRA_LENGTHS = (0.0, 0.05, 0.15, 0.4)
 """[m] Lengths of cables that are tried, beyond the shortest ones around an object."""
 
-GRIP_ROUNDS = 5
-"""Maximum number of grips whose polygons around the object need longer cables."""
+GRIP_ROUNDS = 5  # Maximum number of grips whose polygons around the object need longer cables
 
 PILLAR_HEIGHT = 1.0
 """[m] Height of the pillar on which a flat tray stands whose capacity is computed."""
 
-PILLAR_RADIUS = 0.025
-"""[m] Radius of that pillar."""
-
-COMPARED_ROBOTS = range(3, 9)
-"""Numbers of robots that are tried where the legs of a team cut a rim."""
+PILLAR_RADIUS = 0.025  # [m] Radius of that pillar
+COMPARED_ROBOTS = range(3, 9)  # Numbers of robots that are tried where the legs of a team cut a rim
 
 
 class Rated(NamedTuple):
     """A hold and what it bears."""
 
-    mass: float
-    """About the largest mass [kg] at rest; 0 if none."""
-
-    hold: HoldingHitch
-    """The hold."""
+    mass: float  # About the largest mass [kg] at rest; 0 if none
+    hold: HoldingHitch  # The hold
 
 
 class Heaviest(NamedTuple):
     """The largest mass that is held."""
 
-    capacity: Capacity
-    """The mass, and the check that binds."""
-
-    hold: HoldingHitch | None
-    """What holds it; None if nothing is held."""
+    capacity: Capacity  # The mass, and the check that binds
+    hold: HoldingHitch | None  # What holds it; None if nothing is held
 
 
 @dataclass(frozen=True, eq=False)
 class HoldJudge:
     """The judge of holds of an object that a hitch encloses."""
 
+    # Moves with the object, before it is held: its polygons, and the tension of the hold
     planner: MovePlanner
-    """Moves with the object, before it is held: its polygons, and the tension of the hold."""
-
-    around: Hitch
-    """The hitch around the object."""
+    around: Hitch  # The hitch around the object
 
     @classmethod
     def of(

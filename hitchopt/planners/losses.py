@@ -71,17 +71,10 @@ def _robots(flown: TeamMotion, stops: list[PreparedStop]) -> Iterator[dict[str, 
 class _Answer(NamedTuple):
     """A stop that answers losses in a part of a motion with a taut hitch."""
 
-    run: Motion
-    """The part."""
-
-    stop: PreparedStop
-    """The stop."""
-
-    times: tuple[float, float]
-    """[s] First and last time of these losses."""
-
-    is_taut: bool
-    """Whether the hitch rests as in this part."""
+    run: Motion  # The part
+    stop: PreparedStop  # The stop
+    times: tuple[float, float]  # [s] First and last time of these losses
+    is_taut: bool  # Whether the hitch rests as in this part
 
 
 def _answers(motion: Motion, stops: list[PreparedStop]) -> Iterator[_Answer]:

@@ -32,32 +32,17 @@ FASTER = "faster than the step's own route"
 class OptimisedRoute:
     """A route that the optimiser finds to a hitch, at the same altitude or not."""
 
-    task: StepTask
-    """The task of the step."""
-
-    end: Hitch
-    """The hitch after it."""
-
-    phase: Phase
-    """With the step's name, index and range of tensions."""
-
-    duration: float | None = None
-    """Prescribed duration [s]; None for the fastest one."""
-
+    task: StepTask  # The task of the step
+    end: Hitch  # The hitch after it
+    phase: Phase  # With the step's name, index and range of tensions
+    duration: float | None = None  # Prescribed duration [s]; None for the fastest one
+    # The step's own path, which is a candidate if it is feasible; None if it is not
     straight: Path | None = None
-    """The step's own path, which is a candidate if it is feasible; None if it is not."""
-
-    own: StepPlan | None = None
-    """Certified plan along this path, if there is one."""
-
-    refines: bool = False
-    """Whether route and clock are then refined together."""
-
-    cost: CostFunction | None = None
-    """Minimised together with the duration."""
-
+    own: StepPlan | None = None  # Certified plan along this path, if there is one
+    refines: bool = False  # Whether route and clock are then refined together
+    cost: CostFunction | None = None  # Minimised together with the duration
+    # Certified plans by their motions
     _certified: dict[Motion, StepPlan] = field(default_factory=dict, init=False)
-    """Certified plans by their motions."""
 
     def plan(self) -> StepPlan:
         """Return the fastest plan.

@@ -44,17 +44,11 @@ def drones_along(path: FlatPath, s: Array) -> DroneJets:
 class PathJets(NamedTuple):
     """Jets in s of the curves of a motion, at J points of a path."""
 
-    drones: Array
-    """(J, 2n, 3, 4) [m]: positions of drones."""
-
-    vertices: Array
-    """(J, points, 3, 4) [m]"""
-
+    drones: Array  # (J, 2n, 3, 4) [m]: positions of drones
+    vertices: Array  # (J, points, 3, 4) [m]
+    # (J, n, 2, 4) [m]: ``d`` and ``e`` as cable lengths; exactly zero at a chain's ends
     legs: Array
-    """(J, n, 2, 4) [m]: ``d`` and ``e`` as cable lengths; exactly zero at a chain's ends."""
-
-    tensions: Array
-    """(J, n, 4) [N]"""
+    tensions: Array  # (J, n, 4) [N]
 
 
 def path_jets(path: FlatPath, s: Array) -> PathJets:
@@ -73,11 +67,8 @@ class LegLaw:
     ``e``.
     """
 
-    length: PiecewisePolynomial
-    """(n,) [m]: the constant terms, over s."""
-
-    share: PiecewisePolynomial
-    """(n,): the factors of the slack, over s."""
+    length: PiecewisePolynomial  # (n,) [m]: the constant terms, over s
+    share: PiecewisePolynomial  # (n,): the factors of the slack, over s
 
     @classmethod
     def of_fractions(cls, fractions: PiecewisePolynomial) -> LegLaw:
@@ -303,16 +294,13 @@ def _checked_s(s: ArrayLike) -> Array:
 class Shapes:
     """Shapes at J points of a path."""
 
-    polygons: Array
-    """(J, points, 2) [m]: vertices in plan view."""
-
+    polygons: Array  # (J, points, 2) [m]: vertices in plan view
     legs: Array
     """(J, n, 2) [m]: ``d`` and ``e`` as cable lengths.
 
     They are negative if a cable is too short, and zero at a chain's ends."""
 
-    roll: Array | None = None
-    """(J, clasps) [rad], or None."""
+    roll: Array | None = None  # (J, clasps) [rad], or None
 
     def __getitem__(self, mask: NDArray[np.bool_]) -> Shapes:
         roll = None if self.roll is None else self.roll[mask]

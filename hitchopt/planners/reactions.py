@@ -33,33 +33,22 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices, lazy
 from hitchopt.values.fields import with_fields
 
-DELAY = 0.1
-"""[s] Time from a loss until the others react."""
-
-MAX_USED = 0.7
-"""Largest share of a limit that stopping uses where drones rise in the meantime."""
+DELAY = 0.1  # [s] Time from a loss until the others react
+MAX_USED = 0.7  # Largest share of a limit that stopping uses where drones rise in the meantime
 
 CLEAR = 0.01
 """[m] Distance beyond what is required of drones and cables, which are compared at samples."""
 
-SAMPLES = 41
-"""Number of times at which drones on their ways are compared."""
-
-STARTS = 9
-"""Number of times from which ends may begin to move."""
+SAMPLES = 41  # Number of times at which drones on their ways are compared
+STARTS = 9  # Number of times from which ends may begin to move
 
 
 class PreparedStop(NamedTuple):
     """A stop of the plan's clock that keeps all limits, or its end."""
 
-    since: float
-    """[s] Plan time from which on commands are answered by it, until it begins."""
-
-    start: float
-    """[s] Plan time at which it begins."""
-
-    seconds: float
-    """[s] Time until rest."""
+    since: float  # [s] Plan time from which on commands are answered by it, until it begins
+    start: float  # [s] Plan time at which it begins
+    seconds: float  # [s] Time until rest
 
     @property
     def rest(self) -> float:
@@ -116,11 +105,8 @@ def _within(run: Motion, time: float) -> float:
 class Chain:
     """What remains of a hitch without one of its cables."""
 
-    motion: Motion
-    """The hitch."""
-
-    cable: int
-    """The lost cable."""
+    motion: Motion  # The hitch
+    cable: int  # The lost cable
 
     @lazy
     def need(self) -> Requirements:
@@ -205,20 +191,11 @@ class Chain:
 class Reaction:
     """What follows the loss of a cable from the begin of a stop on; times are from there [s]."""
 
-    chain: Chain
-    """The cables that remain."""
-
-    stopping: PiecewisePolynomial | None
-    """(2n, 3) [m], paths to the rest; None at rest."""
-
-    drones: Array
-    """(2n, 3) [m] at rest."""
-
-    vertices: Array
-    """(points, 3) [m] at rest."""
-
-    balanced: Array
-    """(2n, 3) [m], with both ends of the chain in balance."""
+    chain: Chain  # The cables that remain
+    stopping: PiecewisePolynomial | None  # (2n, 3) [m], paths to the rest; None at rest
+    drones: Array  # (2n, 3) [m] at rest
+    vertices: Array  # (points, 3) [m] at rest
+    balanced: Array  # (2n, 3) [m], with both ends of the chain in balance
 
     @property
     def stops(self) -> float:

@@ -16,8 +16,7 @@ from hitchopt.planners.task import RestState, StepPlan, StepTask, require_certif
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-IDLE = 0.01
-"""[s] Default duration of a step without motion."""
+IDLE = 0.01  # [s] Default duration of a step without motion
 
 
 def rest_motion(hitch: Hitch, requirements: Requirements, duration: float, phase: Phase) -> Motion:

@@ -37,8 +37,7 @@ polygons that hardly turn take up to 1.29 times their bound, and other routes ar
 edges turn, straight lines shorten them midway: of 29 morphs between irregular polygons, 11 were 6
 to 17 % faster on another route."""
 
-MAX_SEARCHED = 24
-"""Number of robots up to which a faster route is searched that was not requested."""
+MAX_SEARCHED = 24  # Number of robots up to which a faster route is searched that was not requested
 
 
 def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
@@ -73,29 +72,15 @@ def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
 class RouteSearch:
     """The search of a route to the end of a step: its own one, or an optimised one."""
 
-    task: StepTask
-    """The task of the step."""
-
-    end: Hitch
-    """The hitch after it."""
-
-    phase: Phase
-    """With the step's name and index, and the range of tensions that it states, if any."""
-
-    own: Callable[[], StepPlan]
-    """Returns the plan along the step's own route."""
-
-    duration: float | None = None
-    """Prescribed duration [s]; None for the fastest one."""
-
+    task: StepTask  # The task of the step
+    end: Hitch  # The hitch after it
+    phase: Phase  # With the step's name and index, and the range of tensions that it states, if any
+    own: Callable[[], StepPlan]  # Returns the plan along the step's own route
+    duration: float | None = None  # Prescribed duration [s]; None for the fastest one
+    # True to replace an own route that takes much longer than its bound
     replaces_slow: bool = False
-    """True to replace an own route that takes much longer than its bound."""
-
-    refines: bool = False
-    """True to refine route and clock together."""
-
-    cost: CostFunction | None = None
-    """Custom cost; None for the time alone."""
+    refines: bool = False  # True to refine route and clock together
+    cost: CostFunction | None = None  # Custom cost; None for the time alone
 
     def plan(self) -> StepPlan:
         """Return the plan along the first certified route."""

@@ -19,8 +19,7 @@ FunctionOrKnots = Points | Callable[[float], Points]
 FUNCTION_SAMPLES = (65, 129, 257, 513)
 """Numbers of samples of a function of s, tried until the spline fits between them."""
 
-FIT_TOLERANCE = 1e-4
-"""Largest difference of a spline from its function between samples [m or rad]."""
+FIT_TOLERANCE = 1e-4  # Largest difference of a spline from its function between samples [m or rad]
 
 FIT_TESTS = 2048
 """Number of s at which a fit is tested, multiples of the golden ratio modulo 1. No periodic
@@ -28,8 +27,7 @@ function vanishes at all of them, and they are at most 0.001 apart."""
 
 GOLDEN_RATIO = 0.5 * (1.0 + math.sqrt(5.0))
 
-MIN_KNOTS = 3
-"""Smallest number of knots of a natural quintic spline."""
+MIN_KNOTS = 3  # Smallest number of knots of a natural quintic spline
 
 SMOOTH_AT_REST = "smooth, with zero velocity and acceleration at both ends"
 
@@ -38,14 +36,9 @@ SMOOTH_AT_REST = "smooth, with zero velocity and acceleration at both ends"
 class EvenSamples:
     """Values at evenly spaced s from 0 to 1."""
 
-    values: Array
-    """(J, *shape)"""
-
-    smooth: bool
-    """True if the values are samples of a function, not knots."""
-
-    at_rest: bool
-    """True if the first two derivatives vanish at both ends."""
+    values: Array  # (J, *shape)
+    smooth: bool  # True if the values are samples of a function, not knots
+    at_rest: bool  # True if the first two derivatives vanish at both ends
 
     @property
     def spline(self) -> PiecewisePolynomial:
@@ -56,8 +49,7 @@ class EvenSamples:
         return interpolated(s, self.values, zero_orders=(1, 2) if self.at_rest else (3, 4))
 
 
-ValueShape = tuple[int, ...]
-"""Shape of the value of a function of s, or of a knot."""
+ValueShape = tuple[int, ...]  # Shape of the value of a function of s, or of a knot
 
 
 def sampled(

@@ -30,37 +30,20 @@ from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
-STEP = 0.1
-"""[s] Spacing of samples."""
-
-MAX_ORDERS = 60
-"""Maximum number of orders of priority."""
-
-LAYER_SAVING = 0.1
-"""Smallest share of a duration that a climb to another layer saves."""
-
-CHUNK = 200_000
-"""Number of pairs of bodies per chunk."""
-
-FAR = 1e6
-"""[m] Distance of bodies that are ignored."""
-
-REACH = 0.25
-"""[m] Distance beyond a limit up to which it is computed."""
+STEP = 0.1  # [s] Spacing of samples
+MAX_ORDERS = 60  # Maximum number of orders of priority
+LAYER_SAVING = 0.1  # Smallest share of a duration that a climb to another layer saves
+CHUNK = 200_000  # Number of pairs of bodies per chunk
+FAR = 1e6  # [m] Distance of bodies that are ignored
+REACH = 0.25  # [m] Distance beyond a limit up to which it is computed
 
 
 class SampledBodies(NamedTuple):
     """Segments, or upright hulls of corners in plan view, at sampled times."""
 
-    corners: Array
-    """(samples, bodies, k, 3) [m]: segments end at the first and the last one."""
-
-    heights: Array
-    """(samples, bodies, 2) [m]: lowest and highest points."""
-
-    radii: Array
-    """(bodies,) [m]: radii about the corners."""
-
+    corners: Array  # (samples, bodies, k, 3) [m]: segments end at the first and the last one
+    heights: Array  # (samples, bodies, 2) [m]: lowest and highest points
+    radii: Array  # (bodies,) [m]: radii about the corners
     upright: NDArray[np.bool_]
     """(samples,): whether bodies are upright hulls, whose distances are those in plan view, or of
     heights if larger."""
@@ -69,22 +52,17 @@ class SampledBodies(NamedTuple):
 class Boxes(NamedTuple):
     """Boxes around all bodies of a team at sampled times."""
 
-    lower: Array
-    """(samples, 3) [m]"""
-
-    upper: Array
-    """(samples, 3) [m]"""
+    lower: Array  # (samples, 3) [m]
+    upper: Array  # (samples, 3) [m]
 
 
 @dataclass(frozen=True, eq=False)
 class SampledPath:
     """A team's path, sampled every STEP [s] from start to end, and its own objects."""
 
-    flown: TeamMotion
-    """The team's motion."""
-
+    flown: TeamMotion  # The team's motion
+    # Names of the objects that the team moves, or that some other team does not know
     owned: frozenset[str] = frozenset()
-    """Names of the objects that the team moves, or that some other team does not know."""
 
     @cached_property
     def times(self) -> Array:
@@ -218,17 +196,10 @@ def slacks(a: SampledPath, b: SampledPath, separation: Separation) -> Array:
 class CheckSlacks(NamedTuple):
     """Slacks of a check at m pairs of samples."""
 
-    check: str
-    """Name of the check."""
-
-    limit: float
-    """Its limit [m or ratio]."""
-
-    unit: float
-    """[m] Unit of the slacks."""
-
-    values: Array
-    """(m,), infinite beyond REACH."""
+    check: str  # Name of the check
+    limit: float  # Its limit [m or ratio]
+    unit: float  # [m] Unit of the slacks
+    values: Array  # (m,), infinite beyond REACH
 
 
 def _slacks_by_check(
@@ -334,11 +305,8 @@ def _gaps(first: Array, second: Array) -> Array:
 class Placed:
     """A track and its start, as a sample of the common clock."""
 
-    track: SampledPath
-    """The track."""
-
-    start: int
-    """Sample of the common clock at which it starts."""
+    track: SampledPath  # The track
+    start: int  # Sample of the common clock at which it starts
 
 
 def _end(schedule: Sequence[Placed]) -> int:
@@ -350,49 +318,30 @@ def _end(schedule: Sequence[Placed]) -> int:
 class Blocked:
     """The conflict of two teams without a feasible start."""
 
+    # Names of the team without a start, and of the one placed before that it meets
     names: tuple[str, str]
-    """Names of the team without a start, and of the one placed before that it meets."""
-
-    check: str
-    """Name of the check of the violated distance."""
-
-    value: float
-    """The violated distance."""
-
-    limit: float
-    """Its limit."""
-
-    time: float
-    """[s] Approximate time of the violation since the item's start."""
-
-    place: tuple[float, ...]
-    """(3,) [m]: a point between both teams."""
-
-    at: str
-    """``goals`` or ``starts`` if the teams are too close while they rest there, else empty."""
+    check: str  # Name of the check of the violated distance
+    value: float  # The violated distance
+    limit: float  # Its limit
+    time: float  # [s] Approximate time of the violation since the item's start
+    place: tuple[float, ...]  # (3,) [m]: a point between both teams
+    at: str  # ``goals`` or ``starts`` if the teams are too close while they rest there, else empty
 
 
 @dataclass(eq=False)
 class Schedule:
     """Search for the starts of teams in one item of a mission."""
 
+    # Paths of the teams, in the order of the file; teams at rest have one sample
     tracks: Sequence[SampledPath]
-    """Paths of the teams, in the order of the file; teams at rest have one sample."""
-
-    separation: Separation
-    """Limits of distances."""
-
+    separation: Separation  # Limits of distances
+    # Returns another path of a team by index and layer from 1 on, or None
     alternative: Callable[[int, int], SampledPath | None]
-    """Returns another path of a team by index and layer from 1 on, or None."""
-
-    numbers_of_layers: Sequence[int]
-    """Numbers of layers of every team, tried in turn."""
-
+    numbers_of_layers: Sequence[int]  # Numbers of layers of every team, tried in turn
+    # Cache of slacks
     tables: dict[tuple[SampledPath, SampledPath], Array] = field(default_factory=dict)
-    """Cache of slacks."""
-
+    # Cache of other paths
     alternatives: dict[tuple[int, int], SampledPath | None] = field(default_factory=dict)
-    """Cache of other paths."""
 
     def solve(self, fixed: Sequence[Placed], pad: float) -> list[Placed] | Blocked:
         """Return the starts, in the order of the file, or the first conflict.

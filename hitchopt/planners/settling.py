@@ -37,8 +37,7 @@ from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require
 from hitchopt.values import Array, counted
 from hitchopt.values.fields import with_fields
 
-MIN_SLIDE = 1e-3
-"""[m] Change of leg lengths below which a step ends without settling."""
+MIN_SLIDE = 1e-3  # [m] Change of leg lengths below which a step ends without settling
 
 STEP = 0.02
 """[m] Mean difference in size of consecutive over-travels. Vertices rest within half a difference,
@@ -65,8 +64,7 @@ simulated drones reached a clasp; with 1.1, vertices rest no nearer."""
 SHARES = (1.0, 0.8, 0.6, 0.4)
 """Shares of the first over-travel from which over-travels are tried, where limits bind."""
 
-MAX_JERK = 8.0
-"""[m/s³] Largest jerk of drones."""
+MAX_JERK = 8.0  # [m/s³] Largest jerk of drones
 
 
 def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) -> StepPlan:
@@ -114,14 +112,9 @@ def settling_plan(
 class Settled(NamedTuple):
     """A certified plan at whose end friction may hold a vertex off its goal."""
 
-    plan: StepPlan
-    """The plan."""
-
-    short: float
-    """Distance that the vertex may be off [m]."""
-
-    causes: tuple[Violation, ...] = ()
-    """What larger over-travels break."""
+    plan: StepPlan  # The plan
+    short: float  # Distance that the vertex may be off [m]
+    causes: tuple[Violation, ...] = ()  # What larger over-travels break
 
 
 @dataclass(frozen=True, eq=False)

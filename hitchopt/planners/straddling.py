@@ -29,8 +29,7 @@ from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.planners.tying import approach_motion
 from hitchopt.values import Array
 
-NO_TURN = math.radians(2.0)
-"""[rad] Angle up to which hanging cables need not turn about an object."""
+NO_TURN = math.radians(2.0)  # [rad] Angle up to which hanging cables need not turn about an object
 
 
 def tied_around(

@@ -22,11 +22,8 @@ from hitchopt.values import Array
 LIMIT_SHARE = 1.0 - 1e-6
 """Usable fraction of the limits of thrust and tilt, as a margin for rounding."""
 
-CIRCLE_CORNERS = 24
-"""Number of corners of the polygon around a circle."""
-
-MIN_PRISM_HEIGHT = 1e-3
-"""[m] Height of the prism around a rim."""
+CIRCLE_CORNERS = 24  # Number of corners of the polygon around a circle
+MIN_PRISM_HEIGHT = 1e-3  # [m] Height of the prism around a rim
 
 
 def separated_flight(task: StepTask, goal: Array, duration: float | None, name: str) -> StepPlan:

@@ -29,32 +29,20 @@ from hitchopt.values import Array, Indices
 class RestState:
     """State at rest between two steps: a hitch, or drones on free cables."""
 
-    team: Team
-    """Robots of the hitch, or of the hitch to be formed."""
-
-    drones: Array
-    """(2n, 3) [m], in the order q0, r0, q1, r1, …"""
-
-    hitch: Hitch | None = None
-    """The hitch; None for free cables."""
-
+    team: Team  # Robots of the hitch, or of the hitch to be formed
+    drones: Array  # (2n, 3) [m], in the order q0, r0, q1, r1, …
+    hitch: Hitch | None = None  # The hitch; None for free cables
+    # (clasps,): turning senses of the pairs, 1 if q went up first; None for an initial hitch
     senses: Array | None = None
-    """(clasps,): turning senses of the pairs, 1 if q went up first; None for an initial hitch."""
-
-    swap: SwapSettings = field(default_factory=SwapSettings)
-    """Settings of these turns."""
-
+    swap: SwapSettings = field(default_factory=SwapSettings)  # Settings of these turns
+    # (n,): levels of cables after laying, 0 the lowest; None for a hitch tied by swaps
     levels: Indices | None = None
-    """(n,): levels of cables after laying, 0 the lowest; None for a hitch tied by swaps."""
-
+    # (clasps,) [rad]: roll with an open vertex; ``hitch`` has the roll of the closed hitch
     open_roll: Array | None = None
-    """(clasps,) [rad]: roll with an open vertex; ``hitch`` has the roll of the closed hitch."""
-
+    # The enclosed or held object; ``hitch`` is then without the object's weight
     grasp: GraspState | None = None
-    """The enclosed or held object; ``hitch`` is then without the object's weight."""
-
+    # Objects at their current poses; None for those of the problem
     objects: Mapping[str, SolidObject] | None = None
-    """Objects at their current poses; None for those of the problem."""
 
     @property
     def tied(self) -> Hitch:
@@ -77,14 +65,9 @@ class RestState:
 class StepPlan:
     """The motion of a step from rest to rest, and the state after it."""
 
-    motion: Motion
-    """The motion, from rest to rest."""
-
-    after: RestState
-    """The state at its end."""
-
-    path: Path | None = None
-    """Path along which the motion was timed; None for other motions."""
+    motion: Motion  # The motion, from rest to rest
+    after: RestState  # The state at its end
+    path: Path | None = None  # Path along which the motion was timed; None for other motions
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -121,27 +104,16 @@ class StepPlan:
 class StepTask:
     """The task of planning a step."""
 
-    before: RestState
-    """State at the start."""
-
-    index: int
-    """Index of the step in its mission."""
-
-    requirements: Requirements
-    """Requirements of the plan."""
-
-    optimiser: bool = True
-    """True if the optimiser may be used."""
-
+    before: RestState  # State at the start
+    index: int  # Index of the step in its mission
+    requirements: Requirements  # Requirements of the plan
+    optimiser: bool = True  # True if the optimiser may be used
     stated: Requirements | None = None
     """Requirements of the problem, of which planners' distances include the tracking errors; None
     if the plan's are those of the problem."""
 
-    effort: Effort = field(default_factory=Effort)
-    """Effort of planning, and its limit."""
-
-    progress: Progress | None = None
-    """Status callback."""
+    effort: Effort = field(default_factory=Effort)  # Effort of planning, and its limit
+    progress: Progress | None = None  # Status callback
 
     @property
     def hitch(self) -> Hitch:

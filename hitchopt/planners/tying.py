@@ -198,31 +198,22 @@ def untyings(task: StepTask) -> Iterator[Candidate[StepPlan]]:
             yield Candidate(f"{way.name}circle", partial(on_circle, tying))
 
 
-MAX_TIED = 12
-"""Maximum number of hitches on circles that are tried."""
-
-MAX_SHAPES = 3
-"""Maximum number of their shapes, each of which is turned."""
+MAX_TIED = 12  # Maximum number of hitches on circles that are tried
+MAX_SHAPES = 3  # Maximum number of their shapes, each of which is turned
 
 
 class SwapWay(NamedTuple):
     """Swaps with some settings: of the hitch itself, and of hitches on circles."""
 
-    name: str
-    """Start of the names of its candidates."""
-
-    settings: SwapSettings
-    """The settings."""
-
-    sizes: tuple[CircleSize, ...]
-    """Sizes of hitches on circles."""
+    name: str  # Start of the names of its candidates
+    settings: SwapSettings  # The settings
+    sizes: tuple[CircleSize, ...]  # Sizes of hitches on circles
 
 
 STEEP_TILT = math.radians(60.0)
 """[rad] Tilt of swaps that keep drones farther from short cables, and take longer."""
 
-STEEP_RADIUS = 0.25
-"""[m] Smallest semi-axis of these swaps."""
+STEEP_RADIUS = 0.25  # [m] Smallest semi-axis of these swaps
 
 
 def swap_ways(swap: SwapSettings) -> Iterator[SwapWay]:
@@ -395,15 +386,13 @@ def rolled_plan(task: StepTask, end: Array, phase: Phase) -> StepPlan:
     return StepPlan(motion, replace(task.before, drones=drones, open_roll=open_roll))
 
 
-MIN_LARGER_ERRORS = 1e-3
-"""[m] Smallest increase of errors for which free cables are planned again."""
+MIN_LARGER_ERRORS = 1e-3  # [m] Smallest increase of errors for which free cables are planned again
 
 ERROR_FACTOR = 2.0
 """Factor on the missing radius of tracking errors by which free cables are planned for larger ones:
 heights of hanging cables grow faster than errors."""
 
-MAX_LARGER_ERRORS = 0.05
-"""[m] Largest increase of errors for which free cables are planned."""
+MAX_LARGER_ERRORS = 0.05  # [m] Largest increase of errors for which free cables are planned
 
 
 def with_larger_errors(

@@ -55,8 +55,7 @@ MIN_FOOTING = 0.02
 """Minimum distance of a centre of mass from the edges of its support after setting down [m]: the
 position error of objects."""
 
-MAX_VIA = 100
-"""Maximum number of waypoints of one object."""
+MAX_VIA = 100  # Maximum number of waypoints of one object
 
 
 def goal_of(step: Step, requirements: Requirements, name: str) -> Array:

@@ -90,8 +90,8 @@ class ShapeStep(NonstopStep):
 class ActionStep(ShapeStep):
     """A step that is an action of the paper, which specifies the drones that move."""
 
+    #: Names of the fields that the action takes after the start and the polygon
     action_fields: ClassVar[tuple[str, ...]] = ("vertex",)
-    """Names of the fields that the action takes after the start and the polygon."""
 
     def action(self, task: StepTask) -> Action:
         """Return the action of the same name."""

@@ -48,8 +48,7 @@ OUTLINE_TEXT = (
 )
 LEGS_TEXT = f"{SPLIT_TEXT}; or a mapping with sharing (one of these) and roll_deg"
 
-TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
-"""[m] Example of an outline."""
+TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]  # [m] Example of an outline
 
 AUTO: Final = "auto"
 """Automatic choice of a duration, or of a roll that is zero unless limits require one."""
@@ -93,11 +92,8 @@ def shown_legs(legs: object) -> dict[str, Any]:
     return {} if sharing is None or isinstance(sharing, str) else {"legs": sharing}
 
 
-MAX_TURNS = 5
-"""Maximum number of turns in one step: the number of polynomial pieces is bounded."""
-
-MAX_YAW = MAX_TURNS * 2.0 * math.pi
-"""[rad] Largest turn of one step."""
+MAX_TURNS = 5  # Maximum number of turns in one step: the number of polynomial pieces is bounded
+MAX_YAW = MAX_TURNS * 2.0 * math.pi  # [rad] Largest turn of one step
 
 
 def _turn_angle(key: str, value: object) -> float:

@@ -16,11 +16,8 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch.pairs import FIXED
 from hitchopt.values import Array
 
-DECIMALS = 9
-"""Number of decimals of numbers in edits."""
-
-MIN_REMAINING_SHARE = 0.1
-"""Minimum fraction of a quantity that lowering leaves."""
+DECIMALS = 9  # Number of decimals of numbers in edits
+MIN_REMAINING_SHARE = 0.1  # Minimum fraction of a quantity that lowering leaves
 
 PLAN_DURATION = "plan duration"
 """Constraint that the plan is too long; ``duration`` means that a step is too short."""
@@ -36,50 +33,29 @@ def checks_relaxed_by(by: Literal["length", "time", "tension"]) -> frozenset[str
 class Edit(OneLine):
     """A change of one value in a problem file."""
 
-    key: str
-    """Path such as ``mission[0].morph.polygon``; a step's own edits omit the step's path."""
-
-    value: object
-    """Number, word, list or mapping, in the file's units."""
+    key: str  #: Path such as ``mission[0].morph.polygon``; a step's own edits omit the step's path.
+    value: object  #: Number, word, list or mapping, in the file's units
 
 
-Edits = tuple[Edit, ...]
-"""Edits that are applied together."""
+Edits = tuple[Edit, ...]  # Edits that are applied together
 
 
 @dataclass(frozen=True, eq=False)
 class Knob:
     """A number that repair may raise or lower."""
 
-    key: str
-    """Key in the file; a step's own knobs omit the step's path."""
-
-    old: float
-    """Current value."""
-
-    unit: str
-    """Unit of the value; ``times`` for a factor."""
-
+    key: str  #: Key in the file; a step's own knobs omit the step's path
+    old: float  #: Current value
+    unit: str  #: Unit of the value; ``times`` for a factor
+    #: Returns the edits for a new value; None for the value itself under the key
     make_edits: Callable[[float], Edits] | None = None
-    """Returns the edits for a new value; None for the value itself under the key."""
-
-    sign: int = 1
-    """1 to raise the value, -1 to lower it."""
-
+    sign: int = 1  #: 1 to raise the value, -1 to lower it
+    #: Constraints that it can repair; it is not tried while others are broken
     covers: frozenset[str] = frozenset()
-    """Constraints that it can repair; it is not tried while others are broken."""
-
-    words: str = ""
-    """Description, if the key is not enough."""
-
-    extent: float | None = None
-    """Reference of relative sizes [unit]; by default the old value."""
-
-    min_size: float = 0.0
-    """Relative size below which changes are known to fail."""
-
-    max_size: float = math.inf
-    """Relative size above which changes make no sense."""
+    words: str = ""  #: Description, if the key is not enough
+    extent: float | None = None  #: Reference of relative sizes [unit]; by default the old value
+    min_size: float = 0.0  #: Relative size below which changes are known to fail
+    max_size: float = math.inf  #: Relative size above which changes make no sense
 
     def __post_init__(self) -> None:
         if self.sign < 0 and self.extent is None:

@@ -346,11 +346,8 @@ class Adjust(ActionStep):
     settle: SettleAtEnd = AUTO
 
 
-MIN_GAP = 1e-3
-"""[s] Minimum time between two points; less is a typing error."""
-
-MAX_TIME = 1e5
-"""[s] Maximum time of a point."""
+MIN_GAP = 1e-3  # [s] Minimum time between two points; less is a typing error
+MAX_TIME = 1e5  # [s] Maximum time of a point
 
 MIN_STRETCH = 1e-3
 """[m] Minimum distance of two points without times; a smooth path cannot turn within less."""

@@ -41,36 +41,25 @@ class Stage(StrEnum):
 class Step(Record, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
 
-    name: ClassVar[str]
-    """Key in the problem file: the class's name in snake case."""
-
+    name: ClassVar[str]  #: Key in the problem file: the class's name in snake case
+    #: True if the step starts with a hitch, False if on free cables, None for either
     needs_hitch: ClassVar[bool | None] = True
-    """True if the step starts with a hitch, False if on free cables, None for either."""
-
+    #: True if the step can precede or follow another one without a stop
     blendable: ClassVar[bool] = False
-    """True if the step can precede or follow another one without a stop."""
-
+    #: Stages at the start and the end; None if the stage does not matter
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
-    """Stages at the start and the end; None if the stage does not matter."""
-
-    time_key: ClassVar[str] = "duration"
-    """Field of the prescribed duration."""
-
-    object_key: ClassVar[str] = "object"
-    """Key in the problem file of the name of its object."""
-
+    time_key: ClassVar[str] = "duration"  #: Field of the prescribed duration
+    object_key: ClassVar[str] = "object"  #: Key in the problem file of the name of its object
+    #: True if the step is for single drones without cables
     of_single_drones: ClassVar[bool] = False
-    """True if the step is for single drones without cables."""
-
     of_two_robots: ClassVar[bool] = False
     """True if teams of two robots support the step; their cables form a hitch only around an
     object."""
 
+    #: Effort to plan the step, per robot, beyond which no further candidate is tried
     effort_per_robot: ClassVar[float] = 2e5
-    """Effort to plan the step, per robot, beyond which no further candidate is tried."""
-
+    #: True if the step moves single points of an outline, which the file then has to state
     moves_points: ClassVar[bool] = False
-    """True if the step moves single points of an outline, which the file then has to state."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

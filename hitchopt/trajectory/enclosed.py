@@ -30,8 +30,7 @@ ROOT_ORDER = 6
 """Degree of interpolants of roots: they err by 1e-9 where numbers vary by per cents, as on the
 spans that matter."""
 
-INVERSE_ORDER = 4
-"""Degree of interpolants of inverses, which enter more products than roots."""
+INVERSE_ORDER = 4  # Degree of interpolants of inverses, which enter more products than roots
 
 
 @dataclass(eq=False)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, lazy
 
-ORDER = 6
-"""Degree of the factors of products: they err by 1e-9 on the spans that matter."""
+ORDER = 6  # Degree of the factors of products: they err by 1e-9 on the spans that matter
 
 
 @dataclass(eq=False)
@@ -19,12 +18,8 @@ class Jet:
     reduced to a low degree, and the error of that is added to their balls.
     """
 
-    value: Enclosed
-    """The value."""
-
-    rate: Enclosed
-    """Its time derivative [1/s]."""
-
+    value: Enclosed  # The value
+    rate: Enclosed  # Its time derivative [1/s]
     __array_ufunc__ = None  # so that numpy's arrays leave sums and products to this class
 
     def __neg__(self) -> Jet:

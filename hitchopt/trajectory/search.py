@@ -33,16 +33,14 @@ one is smaller."""
 MAX_HALVINGS = 40
 """Maximum number of halvings of a piece. Beyond it, bounds are accepted: valid, but less tight."""
 
-MAX_SPANS = 100_000
-"""Maximum number of halves in total, or ten per initial span, likewise."""
+MAX_SPANS = 100_000  # Maximum number of halves in total, or ten per initial span, likewise
 
 BATCH = 4096  # Number of spans bounded in one call: the arrays of a formula fit into the caches
 
 TIE_STEPS = 1e9
 """Number of steps of bounds up to the largest one: within a step, the first in time is chosen."""
 
-TIE = 1e-9
-"""Relative difference of values within which the first one in time is chosen."""
+TIE = 1e-9  # Relative difference of values within which the first one in time is chosen
 
 WHOLE = np.array([[0.0], [1.0]])  # Start and end of whole pieces
 

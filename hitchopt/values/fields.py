@@ -437,8 +437,7 @@ FLAGS = Kind((FLAG,), flag, {"type": "boolean"})  # True or false
 ANYTHING = Kind((SCALAR, LIST, WORD, FLAG, MAPPING), lambda _, value: value, {})  # Any plain data
 
 
-CHOOSE = "choose one of them"
-"""Remedy for a value other than the valid ones, if there are several."""
+CHOOSE = "choose one of them"  # Remedy for a value other than the valid ones, if there are several
 
 
 def words(*names: str | bool, **values: Any) -> Kind:

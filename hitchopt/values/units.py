@@ -202,11 +202,8 @@ ROLL = quantity("rad", UNBOUNDED, (-RIGHT_ANGLE, RIGHT_ANGLE), (), RIGHT_ANGLE)
 BODY_RATE = quantity("rad/s", (0.17, 70.0), (TINY, 1e6), (("degrees per second", DEGREE),))
 ANGLE = quantity("rad", UNBOUNDED, (-HUGE, HUGE))
 
-MIN_LIFT = 0.01
-"""Smallest ratio of thrust to weight; below it one of the two is in a wrong unit."""
-
-MAX_LIFT = 100.0
-"""Largest ratio of thrust to weight; above it one of the two is in a wrong unit."""
+MIN_LIFT = 0.01  # Smallest ratio of thrust to weight; below it one of the two is in a wrong unit
+MAX_LIFT = 100.0  # Largest ratio of thrust to weight; above it one of the two is in a wrong unit
 
 
 def check_lift(mass: float, max_thrust: float, gravity: float) -> None:

@@ -602,17 +602,12 @@ class RimLoads(NamedTuple):
     W / (2 Σ T)`` for a weight W of body and edges, on a horizontal length l of each leg.
     """
 
+    # (o, m, n) [m] by which cables are shorter, ``l (1 / cos α - 1)`` at the full load share
     length_loss: Array
-    """(o, m, n) [m] by which cables are shorter, ``l (1 / cos α - 1)`` at the full load share."""
-
+    # (o, m) Share by which the rim reduces the pull of edges, ``1 - cos α`` at the full share
     pull_loss: Array
-    """(o, m) Share by which the rim reduces the pull of edges, ``1 - cos α`` at the full share."""
-
-    depth: Array
-    """(o, m) [m] of vertices below the rim, ``tan α`` times the mean l."""
-
-    shares: Array
-    """(o, m, n, 3) of the body's mass and moments, by least squares."""
+    depth: Array  # (o, m) [m] of vertices below the rim, ``tan α`` times the mean l
+    shares: Array  # (o, m, n, 3) of the body's mass and moments, by least squares
 
 
 def rim_loads(p: Plan) -> RimLoads:

@@ -27,10 +27,9 @@ class Step(NamedTuple):
     p: Plan
     pieces: Items
     phases: list[dict[str, Any]]
+    #: Vertices (P, 3) that it starts from: the goals of a step that goes on without a stop
     before: Array
-    """Vertices (P, 3) that it starts from: the goals of a step that goes on without a stop."""
-    continues: bool
-    """Whether the step before it goes on without a stop."""
+    continues: bool  #: Whether the step before it goes on without a stop
 
     def points(self, end: int, of: slice) -> Array:
         """Return points (k, 3) at the step's start (0) or end (-1)."""

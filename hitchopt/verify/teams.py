@@ -26,8 +26,7 @@ CLASPING = "clasping"
 CONTACT_ERROR = 3.0 * WRAP_TOL
 """[m] Largest distance of contacts from a section that ``wrap`` allows."""
 
-REGIONS = {HANGING, BEING_LAID, CLASPING}
-"""Cables without a hitch, which vertical regions contain."""
+REGIONS = {HANGING, BEING_LAID, CLASPING}  # Cables without a hitch, which vertical regions contain
 
 
 class Bodies(NamedTuple):

@@ -90,8 +90,7 @@ STYLES = tuple(zip(COLOURS, LINE_STYLES, strict=False))
 
 
 PLAN = "plan"  # Name of the view from above or storyboard among the parts of a page
-PARTS = (PLAN, "separation", "speed", "thrust")
-"""Parts of a summary on a page, from top to bottom."""
+PARTS = (PLAN, "separation", "speed", "thrust")  # Parts of a summary on a page, from top to bottom
 
 
 @dataclass(frozen=True)

@@ -72,8 +72,7 @@ CUBIC = PieceKind(
 """Durations above 1 s may lose a millisecond in the server's arithmetic. A millimetre of a control
 point changes the velocity by 30 mm/s for pieces of 0.1 s, by 150 mm/s for 0.02 s."""
 
-EQUAL_ERRORS = Scale(5e-4, 1e-2, 0.2)
-"""Rounding errors of equal weight."""
+EQUAL_ERRORS = Scale(5e-4, 1e-2, 0.2)  # Rounding errors of equal weight
 
 CLOSER_ERRORS = Scale(2e-4, 1e-2, 0.2)
 """Rounding errors with smaller position errors, for cable lengths."""

@@ -114,8 +114,7 @@ def evaluate(
     say(f"results are in {folder}; {LATEX} is the LaTeX table")
 
 
-WHOLE = ("moving", "resting", "all")
-"""Rows of the table that are not of one phase."""
+WHOLE = ("moving", "resting", "all")  # Rows of the table that are not of one phase
 
 
 def _tables(evaluation: Evaluation) -> str:

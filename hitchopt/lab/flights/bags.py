@@ -79,8 +79,7 @@ MESSAGES = {
     "float32[] values\n",
 }
 
-_Parts = dict[str, Any]
-"""Numbers of a sample by quantity."""
+_Parts = dict[str, Any]  # Numbers of a sample by quantity
 
 
 class _Stamp(NamedTuple):
@@ -90,8 +89,7 @@ class _Stamp(NamedTuple):
     t: float
 
 
-Samples = list[tuple[str, _Stamp, _Parts]]
-"""Frame, stamp and quantities of each body in a message."""
+Samples = list[tuple[str, _Stamp, _Parts]]  # Frame, stamp and quantities of each body in a message
 
 
 def _stamp(header: Any) -> _Stamp:
@@ -259,8 +257,7 @@ class _Stream:
         return bool(np.nanmax(ranges, initial=0.0) >= MIN_TURN)
 
 
-_Frames = dict[str, _Stream]
-"""Streams of a topic by frame."""
+_Frames = dict[str, _Stream]  # Streams of a topic by frame
 
 
 @dataclass(frozen=True)

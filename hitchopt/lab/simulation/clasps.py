@@ -41,24 +41,16 @@ AXIAL_STIFFNESS = 100.0
 MAX_STEP = 0.001
 """[s] Longest time step of the cables. Steps of 2 ms excite the drones on their elastic cables."""
 
-DAMPING_TIME = 0.01
-"""[s] Kelvin-Voigt time of the cables: damping over stiffness."""
-
-AIR_DECAY = 1.0
-"""[1/s] Rate at which the air damps the clasps."""
-
-MIN_MASS = 0.004
-"""[kg] Smallest inertia of a clasp, so that time steps resolve its vibrations."""
-
-SLACK_SAG = 0.25
-"""Sag over chord of a cable whose tension is not computed any further."""
+DAMPING_TIME = 0.01  # [s] Kelvin-Voigt time of the cables: damping over stiffness
+AIR_DECAY = 1.0  # [1/s] Rate at which the air damps the clasps
+MIN_MASS = 0.004  # [kg] Smallest inertia of a clasp, so that time steps resolve its vibrations
+SLACK_SAG = 0.25  # Sag over chord of a cable whose tension is not computed any further
 
 TINY = 1e-4
 """[N] Smallest tension in ratios. Also the smallest limit of their logarithms, which moves vertices
 by under 0.1 mm, and half-axis of the ellipse."""
 
-MIN_LEG = 0.02
-"""[m] Unstretched length below which a segment's stiffness no longer grows."""
+MIN_LEG = 0.02  # [m] Unstretched length below which a segment's stiffness no longer grows
 
 MAX_SWEEPS = 8
 """Most iterations of the slips of one time step. Slips at both ends of an edge are solved for

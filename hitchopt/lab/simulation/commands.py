@@ -134,8 +134,7 @@ def _shown(value: object) -> object:
     return next(names, value)
 
 
-OF_FILES = ("upload", "feedback")
-"""Settings that an export's files state."""
+OF_FILES = ("upload", "feedback")  # Settings that an export's files state
 
 OF_LOOPS = ("controller", "gains", "estimator", "stiffness")
 """Settings that files state which hold gains."""
@@ -155,8 +154,7 @@ def _of_files(files: Received, settings: Settings) -> Settings:
     return replace(settings, controller=name, estimator=estimator)
 
 
-DEFAULTS = "defaults of its firmware"
-"""Source of gains that nobody states."""
+DEFAULTS = "defaults of its firmware"  # Source of gains that nobody states
 
 
 def flown_gains(task: Task, settings: Settings) -> str:

@@ -23,20 +23,11 @@ MIN_BEARING_RATIO = 0.3
 """Smallest contact force of a clasp, over the plan's. Cables that only cross also press on each
 other, by weight and deviations of drones, and some of them have a linking number of one."""
 
-SMOOTHING = 0.05
-"""[s] Time constant of the transfer of a load between nodes."""
-
-MIN_FORCE = 1e-9
-"""[N] Smallest normal force of a contact."""
-
-EXCLUDED_LENGTH = 2.0
-"""Section of its own cable that a drone cannot touch, over its radius."""
-
-LANDED_HEIGHT = 0.2
-"""[m] Height below which a drone may touch its own cable."""
-
-NO_POSITIONS = np.zeros((0, 3))
-"""[m] Positions of no drones."""
+SMOOTHING = 0.05  # [s] Time constant of the transfer of a load between nodes
+MIN_FORCE = 1e-9  # [N] Smallest normal force of a contact
+EXCLUDED_LENGTH = 2.0  # Section of its own cable that a drone cannot touch, over its radius
+LANDED_HEIGHT = 0.2  # [m] Height below which a drone may touch its own cable
+NO_POSITIONS = np.zeros((0, 3))  # [m] Positions of no drones
 
 
 def least_bearing(task: Task) -> Array:
@@ -70,33 +61,19 @@ def _least_bearing(part: TeamTask, times: Array) -> Array:
 class ContactsAtClasps(NamedTuple):
     """Contacts that press at clasps."""
 
-    contacts: Index
-    """(c,), their numbers among all contacts."""
-
-    clasps: Index
-    """(c,), their clasps."""
-
-    forces: Array
-    """(c,) [N], normal forces."""
+    contacts: Index  # (c,), their numbers among all contacts
+    clasps: Index  # (c,), their clasps
+    forces: Array  # (c,) [N], normal forces
 
 
 class CableContacts(NamedTuple):
     """All contacts of one step, or of several, with their bodies by flexes; -1 for other bodies."""
 
-    flexes: Index
-    """(contacts, 2)"""
-
-    elements: Index
-    """(contacts, 2), elements of the flexes, the segments of cables."""
-
-    rows: Index
-    """(contacts,), rows of the constraints; -1 for contacts without a force."""
-
-    forces: Array
-    """(contacts,) [N], normal forces."""
-
-    positions: Array
-    """(contacts, 3) [m]"""
+    flexes: Index  # (contacts, 2)
+    elements: Index  # (contacts, 2), elements of the flexes, the segments of cables
+    rows: Index  # (contacts,), rows of the constraints; -1 for contacts without a force
+    forces: Array  # (contacts,) [N], normal forces
+    positions: Array  # (contacts, 3) [m]
 
     @classmethod
     def of_step(cls, world: World) -> CableContacts:

@@ -27,8 +27,7 @@ from hitchopt.motion.states import (
 from hitchopt.support import Feature
 from hitchopt.values import Indices, known
 
-MIN_TIME = 4.0
-"""[s] Shortest time after a loss to which others fly on without a reaction."""
+MIN_TIME = 4.0  # [s] Shortest time after a loss to which others fly on without a reaction
 
 PATH_FIELDS = ("positions", "velocities", "accelerations", "jerks")
 """Fields of states that a path determines."""

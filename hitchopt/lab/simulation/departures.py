@@ -25,15 +25,13 @@ MAX_TENSION_RATIO = 5.0
 """Largest tension of a cable over its largest planned one: beyond, it was pulled taut with a jerk.
 """
 
-CONTACT = 1e-3
-"""[m] Largest gap at which bodies touch the ground, and smallest passage of a wall."""
+CONTACT = 1e-3  # [m] Largest gap at which bodies touch the ground, and smallest passage of a wall
 
 LOW = 0.1
 """[m] Planned height above the ground, in addition to errors, below which drones may stand on it:
 they leave it late and land early."""
 
-ROUNDING = 1e-5
-"""[s] Rounding error of sample times."""
+ROUNDING = 1e-5  # [s] Rounding error of sample times
 
 
 @dataclass(frozen=True)

@@ -35,23 +35,14 @@ LATENCY = 0.01  # Delay of motion capture [s] if none is stated, up to the use o
 class Sensors:
     """Standard deviations of readings of motion capture and of an IMU, and its low-pass filters."""
 
-    position: float = 1e-3
-    """Deviation of captured positions, per axis and frame [m]."""
-
-    attitude: float = 1e-2
-    """Deviation of captured attitudes, per axis and frame [rad]."""
-
-    gyroscope: float = 0.02
-    """Deviation of angular rates, per reading [rad/s]."""
-
-    accelerometer: float = 0.45
-    """Deviation of specific forces, per reading [m/s²]."""
-
+    position: float = 1e-3  # Deviation of captured positions, per axis and frame [m]
+    attitude: float = 1e-2  # Deviation of captured attitudes, per axis and frame [rad]
+    gyroscope: float = 0.02  # Deviation of angular rates, per reading [rad/s]
+    accelerometer: float = 0.45  # Deviation of specific forces, per reading [m/s²]
+    # Cutoff frequency of angular rates [Hz]; infinite without a filter
     gyroscope_cutoff: float = 80.0
-    """Cutoff frequency of angular rates [Hz]; infinite without a filter."""
-
+    # Cutoff frequency of specific forces [Hz]; infinite without a filter
     accelerometer_cutoff: float = 30.0
-    """Cutoff frequency of specific forces [Hz]; infinite without a filter."""
 
 
 SENSORS = Sensors()

@@ -26,11 +26,8 @@ from hitchopt.lab.simulation.world import Airframes, RigidBodies
 from hitchopt.motion.states import States
 from hitchopt.values import Array
 
-CONTROL_PERIOD = 0.005
-"""[s] Period of the simplified controller."""
-
-ROUNDING = 1e-9
-"""[s] Rounding error of sums of periods."""
+CONTROL_PERIOD = 0.005  # [s] Period of the simplified controller
+ROUNDING = 1e-9  # [s] Rounding error of sums of periods
 
 REPEATED = ("positions", "velocities", "accelerations", "jerks", "cable_forces")
 """Fields of setpoints that controllers receive."""
@@ -39,14 +36,9 @@ REPEATED = ("positions", "velocities", "accelerations", "jerks", "cable_forces")
 class Wrenches(NamedTuple):
     """What drones and air apply to the drones' bodies."""
 
-    thrusts: Array
-    """(drones,) [N]"""
-
-    moments: Array
-    """(drones, 3) [N m], about the bodies' axes."""
-
-    forces: Array
-    """(drones, 3) [N], of wind, downwash and pull tests."""
+    thrusts: Array  # (drones,) [N]
+    moments: Array  # (drones, 3) [N m], about the bodies' axes
+    forces: Array  # (drones, 3) [N], of wind, downwash and pull tests
 
 
 def control_period(settings: Settings) -> float:

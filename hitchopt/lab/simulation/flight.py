@@ -447,17 +447,11 @@ def _planned_tests(task: Task, settings: Settings) -> list[PullTest]:
 class _Lost(NamedTuple):
     """A loss during a flight."""
 
-    drone: int
-    """The drone that is lost, or the first of a robot."""
-
-    cable: int | None
-    """The cable that is let go; None if the drone stays on it."""
-
-    time: float
-    """[s]"""
-
+    drone: int  # The drone that is lost, or the first of a robot
+    cable: int | None  # The cable that is let go; None if the drone stays on it
+    time: float  # [s]
+    # (n,) [m], additional lengths of other cables for their bends about a cable that is let go
     bends: Array
-    """(n,) [m], additional lengths of other cables for their bends about a cable that is let go."""
 
 
 def _lost(task: Task, settings: Settings) -> _Lost | None:

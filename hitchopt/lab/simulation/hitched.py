@@ -36,11 +36,8 @@ from hitchopt.lab.simulation.world import InvalidRunError, RigidBodies
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.values import Array, known
 
-SETTLE_TIME = 1.0
-"""[s] Time at rest, without friction, before a hitch flies."""
-
-MAX_DISTANCE = 5.0
-"""[m] Distance from the plan at which a flight is lost."""
+SETTLE_TIME = 1.0  # [s] Time at rest, without friction, before a hitch flies
+MAX_DISTANCE = 5.0  # [m] Distance from the plan at which a flight is lost
 
 
 def fly_hitched(

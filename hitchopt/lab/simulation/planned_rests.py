@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation.task import Task, TeamTask
 
-REST_TIME = 1.0
-"""[s] Time at rest before a pull test, over which values are averaged."""
-
-SHORTEST = 0.1
-"""[s] Shortest time over which values at rest are averaged."""
+REST_TIME = 1.0  # [s] Time at rest before a pull test, over which values are averaged
+SHORTEST = 0.1  # [s] Shortest time over which values at rest are averaged
 
 REST_TOLERANCE = 1e-6
 """[m] Largest step of a resting vertex between samples; also the largest change of a steady
@@ -31,25 +28,18 @@ has this speed 10 ms before."""
 class PlannedRest:
     """A rest at which a step of a team ends, its last step excluded."""
 
-    phase: str
-    """Name of the phase that ends there."""
-
-    start: float
-    """[s] Time from the flight's start at which averaging of values begins."""
-
-    end: float
-    """[s] Time from the flight's start."""
+    phase: str  # Name of the phase that ends there
+    start: float  # [s] Time from the flight's start at which averaging of values begins
+    end: float  # [s] Time from the flight's start
 
 
 @dataclass(frozen=True, order=True)
 class PullTest:
     """A pull test where all drones stand still; times start at the flight's start."""
 
+    # [s] Time at which the plan stops for the test; its duration for the test after the plan
     time: float
-    """[s] Time at which the plan stops for the test; its duration for the test after the plan."""
-
-    since: float
-    """[s] Time after which all drones stand still."""
+    since: float  # [s] Time after which all drones stand still
 
 
 def resting_samples(task: TeamTask) -> NDArray[np.bool_]:

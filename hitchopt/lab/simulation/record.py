@@ -18,17 +18,10 @@ from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, InvalidRunError, cab
 from hitchopt.objects import SolidObject
 from hitchopt.values import Array
 
-FRAME_PERIOD = 0.04
-"""[s] Period of recorded cable shapes."""
-
-REPORT_PERIOD = 50
-"""Samples between two calls of ``progress``."""
-
-REST_HEIGHT = BODY_HALF_HEIGHT + 0.005
-"""[m] Height of the centre of a drone on the ground."""
-
-ROUNDING = 1e-5
-"""[s] Rounding error of sample times."""
+FRAME_PERIOD = 0.04  # [s] Period of recorded cable shapes
+REPORT_PERIOD = 50  # Samples between two calls of ``progress``
+REST_HEIGHT = BODY_HALF_HEIGHT + 0.005  # [m] Height of the centre of a drone on the ground
+ROUNDING = 1e-5  # [s] Rounding error of sample times
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,8 +47,7 @@ BODY_HALF_HEIGHT = 0.03  # Vertical semi-axis of that ellipsoid [m]
 # mass
 RADII_OF_GYRATION = (0.5, 0.5, 0.65)
 
-SLIDE_AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
-"""Directions of slide joints."""
+SLIDE_AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}  # Directions of slide joints
 
 SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in SLIDE_AXES.values())
 

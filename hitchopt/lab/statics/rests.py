@@ -26,26 +26,13 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
 
-REPEATABILITY = 0.01
-"""[m] Smallest standard deviation of trims from flight to flight."""
-
-MIN_RATIO = 2.0
-"""Smallest trim over its standard error that is written."""
-
-MIN_WINDOWS = 3
-"""Smallest number of windows at a rest."""
-
-WINDOW_MOVES = 1e-4
-"""[m] Largest distance of a window's setpoints from those of its rest."""
-
-LENGTH_ERRORS = 3.0
-"""Largest error of a cable's length over its standard error."""
-
-LENGTH_BIAS = 0.003
-"""[m] Largest bias of measured lengths, in perturbed simulated flights."""
-
-ROUNDING = 0.001
-"""[m] Step to which errors are rounded up."""
+REPEATABILITY = 0.01  # [m] Smallest standard deviation of trims from flight to flight
+MIN_RATIO = 2.0  # Smallest trim over its standard error that is written
+MIN_WINDOWS = 3  # Smallest number of windows at a rest
+WINDOW_MOVES = 1e-4  # [m] Largest distance of a window's setpoints from those of its rest
+LENGTH_ERRORS = 3.0  # Largest error of a cable's length over its standard error
+LENGTH_BIAS = 0.003  # [m] Largest bias of measured lengths, in perturbed simulated flights
+ROUNDING = 0.001  # [m] Step to which errors are rounded up
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,14 +37,9 @@ from hitchopt.view import style
 LARGEST_BATCH = 50
 """Largest number of flights with clasps that are simulated at once, for their memory."""
 
-SIZE = (13.0, 7.2)
-"""[inch] Width and height of the picture."""
-
-WIDTH = 0.35
-"""Half-width of a column of points, over the distance of columns."""
-
-SHOWN_FAILURES = 3
-"""Number of kinds of failures that the picture names."""
+SIZE = (13.0, 7.2)  # [inch] Width and height of the picture
+WIDTH = 0.35  # Half-width of a column of points, over the distance of columns
+SHOWN_FAILURES = 3  # Number of kinds of failures that the picture names
 
 SHOWN = {
     "tracking_largest": ("largest drone error [cm]", 0.01),

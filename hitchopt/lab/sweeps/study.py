@@ -37,8 +37,7 @@ from hitchopt.values.fields import (
 )
 from hitchopt.values.units import NUMBER, POSITIVE
 
-Point = dict[str, Plain]
-"""One value of every parameter, by key path."""
+Point = dict[str, Plain]  # One value of every parameter, by key path
 
 MAX_CASES = 1_000_000  # Maximum number of points of a study; more are a typing error
 

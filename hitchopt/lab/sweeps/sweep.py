@@ -56,8 +56,7 @@ SEAL = "sha256"  # Key of the digest of a row's other columns
 FIGURES = {"duration": "duration [s]", "simulate.peak_tension": "largest tension [N]"}
 """Columns whose medians are reported, and their labels."""
 
-Row = dict[str, Any]
-"""A row of the results, by column; unknown values are None."""
+Row = dict[str, Any]  # A row of the results, by column; unknown values are None
 
 PLANNED = "planned"  # Value of the column ``status`` of a case with a plan
 # Value of the column ``status`` of a case without a plan, in addition to those of errors

@@ -27,21 +27,16 @@ from hitchopt.values.fields import with_fields
 OBJECT_MARGIN = 0.10
 """[m] Clearance of the lowest drone over objects, in addition to ``separation.radius``."""
 
-PLACE_TOLERANCE = 1e-6
-"""[m] Positions that differ by less are the same."""
-
-GRIP_TURNS = 6
-"""Number of turns about a disc, within its grip's symmetry."""
+PLACE_TOLERANCE = 1e-6  # [m] Positions that differ by less are the same
+GRIP_TURNS = 6  # Number of turns about a disc, within its grip's symmetry
 
 
 class Orientation(NamedTuple):
     """A hitch around an object in one orientation."""
 
-    polygons: HoldPolygons
-    """Polygons around the object and of its hold, in the object's frame."""
-
+    polygons: HoldPolygons  # Polygons around the object and of its hold, in the object's frame
+    # The polygon around it in world coordinates, with the vertices as numbered in the hitch
     around: ConvexPolygon
-    """The polygon around it in world coordinates, with the vertices as numbered in the hitch."""
 
 
 def orientations_around(

@@ -20,17 +20,10 @@ from hitchopt.values import Array
 CLEARANCES = (0.05, 0.15)
 """[m] Distances beyond the limits that ways are searched with: legs tilt as it speeds up."""
 
-STOPS = 14
-"""Number of parts of the straight way, between which a way may stop."""
-
-OFFSETS = 32
-"""Number of offsets to either side."""
-
-CHUNK = 256
-"""Number of ways that are compared with all obstacles at once."""
-
-ROUND_CORNERS = 16
-"""Number of corners of a polygon about a round section."""
+STOPS = 14  # Number of parts of the straight way, between which a way may stop
+OFFSETS = 32  # Number of offsets to either side
+CHUNK = 256  # Number of ways that are compared with all obstacles at once
+ROUND_CORNERS = 16  # Number of corners of a polygon about a round section
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +34,8 @@ class CarrySearch:
     it, and a straight way to the goal, with a stop at each corner.
     """
 
-    planner: MovePlanner
-    """Planner of the object's moves."""
-
-    to: Array
-    """(4,) x, y, z [m] and yaw [rad] of the object's base at the goal."""
+    planner: MovePlanner  # Planner of the object's moves
+    to: Array  # (4,) x, y, z [m] and yaw [rad] of the object's base at the goal
 
     @property
     def start(self) -> Array:

@@ -14,17 +14,13 @@ PREFERRED_HINGE = 0.15
 """[m] Preferred height of clasps above a centre of mass, as far below the top as drones may be off.
 In simulation a drum tilted by up to 9° at 15 cm."""
 
-EDGE = 0.02
-"""[m] Minimum distance of clasps to the top and the bottom of an object."""
+EDGE = 0.02  # [m] Minimum distance of clasps to the top and the bottom of an object
 
 RIM_DISTANCE = 0.03
 """[m] Preferred distance of clasps to a rim above them, which cables must not touch."""
 
-HEIGHT_ROUNDING = 1e-9
-"""[m] Rounding of a height that equals its limit."""
-
-MILLIMETRE_ROUNDING = 1e-3
-"""[mm] Rounding of a suggested height, which is in whole millimetres."""
+HEIGHT_ROUNDING = 1e-9  # [m] Rounding of a height that equals its limit
+MILLIMETRE_ROUNDING = 1e-3  # [mm] Rounding of a suggested height, which is in whole millimetres
 
 
 def _height_error(requirements: Requirements) -> float:

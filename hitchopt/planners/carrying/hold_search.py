@@ -31,32 +31,15 @@ from hitchopt.values import Array, known
 STEPS = np.array([0.03, 0.03, 0.08, 0.15])
 """Largest first steps of a clasp's x and y [m], of a split, and of a roll [rad]."""
 
-DIFFERENCE = 1e-5
-"""Step of forward differences, over STEPS."""
-
-MARGIN = 0.06
-"""Margin at which a search ends, which a carry reduces by leaning legs."""
-
-MAX_PROGRAMS = 60
-"""Maximum number of linear programs of a search."""
-
-GROWTH = 1.7
-"""Factor of the trust region after a better step."""
-
-SHRINKAGE = 0.4
-"""Factor of the trust region after a worse step."""
-
-MAX_REGION = 3.0
-"""Largest size of the trust region, over STEPS."""
-
-MIN_REGION = 2e-3
-"""Size of the trust region below which a search ends, over STEPS."""
-
-GAIN_SHARE = 0.1
-"""Smallest gain of a step over the predicted one."""
-
-MIN_GAIN = 1e-6
-"""Smallest gain of a step."""
+DIFFERENCE = 1e-5  # Step of forward differences, over STEPS
+MARGIN = 0.06  # Margin at which a search ends, which a carry reduces by leaning legs
+MAX_PROGRAMS = 60  # Maximum number of linear programs of a search
+GROWTH = 1.7  # Factor of the trust region after a better step
+SHRINKAGE = 0.4  # Factor of the trust region after a worse step
+MAX_REGION = 3.0  # Largest size of the trust region, over STEPS
+MIN_REGION = 2e-3  # Size of the trust region below which a search ends, over STEPS
+GAIN_SHARE = 0.1  # Smallest gain of a step over the predicted one
+MIN_GAIN = 1e-6  # Smallest gain of a step
 
 MIN_PREDICTED_GAIN = 1e-3
 """Smallest predicted gain of a step; a search ends where programs predict less."""
@@ -64,30 +47,18 @@ MIN_PREDICTED_GAIN = 1e-3
 PATIENCE = 4
 """Number of programs in turn after which a search ends if they predict negative margins."""
 
-HOPE = 3e-3
-"""Rise of these predictions with which the search goes on."""
-
-ROW_RANGE = 3.0
-"""Margins above the smallest one by more than this do not enter programs."""
-
-MIN_LIGHTEST = 0.4
-"""Smallest share of the weight on a clasp, over the mean share."""
-
-MIN_TURN = math.radians(12.0)
-"""[rad] Smallest turn of the polygon at a clasp."""
-
-MIN_EDGE = 0.05
-"""[m] Shortest edge."""
-
-MAX_ROLL = math.radians(60.0)
-"""[rad] Largest roll."""
+HOPE = 3e-3  # Rise of these predictions with which the search goes on
+ROW_RANGE = 3.0  # Margins above the smallest one by more than this do not enter programs
+MIN_LIGHTEST = 0.4  # Smallest share of the weight on a clasp, over the mean share
+MIN_TURN = math.radians(12.0)  # [rad] Smallest turn of the polygon at a clasp
+MIN_EDGE = 0.05  # [m] Shortest edge
+MAX_ROLL = math.radians(60.0)  # [rad] Largest roll
 
 LEGS_CHANGED = (0.0, 0.6)
 """Places on the way from around the object, 0, to the hold, 1, at which legs have its splits and
 rolls. Around it, where edges are long, short cables have legs that are too short for most."""
 
-CLOSURES = np.array([0.0, 0.3, 0.6, 0.8])
-"""Places on that way at which distances are compared."""
+CLOSURES = np.array([0.0, 0.3, 0.6, 0.8])  # Places on that way at which distances are compared
 
 LEG_SAMPLES = np.linspace(0.25, 1.0, 4)[:, None, None]
 """Places on a leg, as shares of its length, whose distances to other objects are compared."""
@@ -96,8 +67,7 @@ START_SPLITS = (0.2, 0.35, 0.8, 0.65)
 """Slack splits of all cables from which searches start. With equal ones legs of regular polygons
 cross symmetrically, and no small change separates them."""
 
-SPLIT_RANGE = (0.05, 0.95)
-"""Smallest and largest slack split."""
+SPLIT_RANGE = (0.05, 0.95)  # Smallest and largest slack split
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,23 +78,15 @@ class HoldSearch:
     and its roll [rad].
     """
 
-    start: RestHold
-    """A hold of the team, from whose clasps searches start."""
-
+    start: RestHold  # A hold of the team, from whose clasps searches start
+    # The hitch around the object, from which clasps and then legs close evenly to a hold
     around: RestHold
-    """The hitch around the object, from which clasps and then legs close evenly to a hold."""
-
-    tension: Array
-    """(n,) [N], of cables while they hold the object."""
-
+    tension: Array  # (n,) [N], of cables while they hold the object
+    # Limits and distances, and all other objects at their current positions
     requirements: Requirements
-    """Limits and distances, and all other objects at their current positions."""
-
-    gap: float
-    """Depth below the rim at which legs close [m]."""
-
+    gap: float  # Depth below the rim at which legs close [m]
+    # Place of LEGS_CHANGED at which legs have changed to the hold's
     legs_changed: float = LEGS_CHANGED[0]
-    """Place of LEGS_CHANGED at which legs have changed to the hold's."""
 
     def holds(self) -> Iterator[RestHold]:
         """Yield holds that keep all margins at rest, from several slack splits."""

@@ -52,8 +52,7 @@ from hitchopt.planners.carrying.polygons import sides_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, known
 
-RIM_EDGE = "the rim"
-"""Name of the part that legs cut, in messages."""
+RIM_EDGE = "the rim"  # Name of the part that legs cut, in messages
 
 
 def polygon_at(body: SolidObject, vertices: Array) -> ConvexPolygon:
@@ -91,26 +90,13 @@ class HoldingHitch(ABC):
     edges around the object.
     """
 
-    by: ClassVar[HoldBy]
-    """Method of holding."""
-
-    team: Team
-    """Team of the hitch."""
-
-    body: SolidObject
-    """The object."""
-
-    polygon: Array
-    """(n, 2) [m], the clasps that hold it."""
-
-    height: float
-    """Height of the plane of contact above the object's base [m]."""
-
-    fractions: Array
-    """(n,), slack split."""
-
-    roll: Array
-    """(n,) [rad], of the legs, as in ``Hitch``."""
+    by: ClassVar[HoldBy]  # Method of holding
+    team: Team  # Team of the hitch
+    body: SolidObject  # The object
+    polygon: Array  # (n, 2) [m], the clasps that hold it
+    height: float  # Height of the plane of contact above the object's base [m]
+    fractions: Array  # (n,), slack split
+    roll: Array  # (n,) [rad], of the legs, as in ``Hitch``
 
     @property
     def largest_acceleration(self) -> float:
@@ -181,8 +167,7 @@ MAX_REST_ACCELERATION = 0.4
 clasp friction slid on a rim by 3 to 8 cm at the start of a carry, since drones lag and small forces
 move such clasps."""
 
-USED_SHARE = 0.8
-"""Used share of the acceleration that friction and supports permit."""
+USED_SHARE = 0.8  # Used share of the acceleration that friction and supports permit
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,20 +323,14 @@ class RestHold(HoldingHitch):
         return forces
 
 
-MAX_NEWTON_STEPS = 20
-"""Maximum number of Newton steps for clasps."""
-
-STEP_TOLERANCE = 1e-12
-"""[m] Size of the last Newton step."""
+MAX_NEWTON_STEPS = 20  # Maximum number of Newton steps for clasps
+STEP_TOLERANCE = 1e-12  # [m] Size of the last Newton step
 
 PATH_SAMPLES = 400
 """Samples of the path from around the object to the grip at which edges are compared."""
 
-BISECTIONS = 60
-"""Steps that locate an event between two samples of the path."""
-
-EVENT_TOLERANCE = 1e-6
-"""Distance of distinct events, as a fraction of the path."""
+BISECTIONS = 60  # Steps that locate an event between two samples of the path
+EVENT_TOLERANCE = 1e-6  # Distance of distinct events, as a fraction of the path
 
 PAST_EVENT = 3e-6
 """Distance beyond an event, as a fraction of the path, at which edges bend about other corners."""
@@ -360,14 +339,9 @@ PAST_EVENT = 3e-6
 class BearingEdges(NamedTuple):
     """Edges around an object that they bear, and their clasps."""
 
-    polygon: Array
-    """(…, n, 2) [m], clasps."""
-
-    heights: Array
-    """(…, n) [m], of clasps above the plane of contact."""
-
-    wraps: Wraps
-    """The edges, seen from above."""
+    polygon: Array  # (…, n, 2) [m], clasps
+    heights: Array  # (…, n) [m], of clasps above the plane of contact
+    wraps: Wraps  # The edges, seen from above
 
     @property
     def straight_parts(self) -> tuple[Array, Array]:
@@ -381,11 +355,8 @@ class GripHold(HoldingHitch):
 
     by: ClassVar[HoldBy] = HoldBy.GRIP
 
-    around: Array
-    """(n, 2) [m], clasps around the object."""
-
-    open_fractions: Array
-    """(n,), slack split there."""
+    around: Array  # (n, 2) [m], clasps around the object
+    open_fractions: Array  # (n,), slack split there
 
     @classmethod
     def tied(cls, team: Team, body: SolidObject, clasps: Array, height: float) -> GripHold:

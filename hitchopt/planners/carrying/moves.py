@@ -20,28 +20,21 @@ from hitchopt.values import Array
 STEP = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 """A step from 0 to 1 with three zero derivatives at its ends."""
 
-MAX_STEP_SLOPE = 2.1875
-"""Largest derivative of that step."""
-
-MAX_STEP_CURVATURE = 7.52
-"""Largest second derivative of that step."""
+MAX_STEP_SLOPE = 2.1875  # Largest derivative of that step
+MAX_STEP_CURVATURE = 7.52  # Largest second derivative of that step
 
 RAMP_PIECES = 10
 """Number of pieces of a ramp, which approximate the clasps' balance to 1e-4 of the tension."""
 
-MIN_PIECE_SHARE = 0.02
-"""Duration of the shortest piece of a cruise over that of a piece of a ramp."""
+MIN_PIECE_SHARE = 0.02  # Duration of the shortest piece of a cruise over that of a piece of a ramp
 
 
 @dataclass(frozen=True)
 class SmoothLaw:
     """A progress from 0 to 1 with a rising, a constant and a falling speed."""
 
-    ramp: float
-    """[s] Duration of each change of the speed."""
-
-    cruise: float = 0.0
-    """[s] Duration of the constant speed."""
+    ramp: float  # [s] Duration of each change of the speed
+    cruise: float = 0.0  # [s] Duration of the constant speed
 
     @classmethod
     def fastest(cls, speed: float, acceleration: float, jerk: float) -> SmoothLaw:
@@ -99,38 +92,23 @@ class Move:
     Pairs are values before and after.
     """
 
-    start: Array
-    """(4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow."""
-
-    end: Array
-    """(4,) Those after the move."""
-
-    tension: Array
-    """(2, n) [N]"""
-
-    load_share: tuple[float, float]
-    """Fractions of the object's weight on clasps."""
-
-    law: SmoothLaw
-    """Law of the progress."""
-
+    start: Array  # (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow
+    end: Array  # (4,) Those after the move
+    tension: Array  # (2, n) [N]
+    load_share: tuple[float, float]  # Fractions of the object's weight on clasps
+    law: SmoothLaw  # Law of the progress
+    # [m] Depths of the clasps below the rim; 0 if they touch it
     below: tuple[float, float] = (0.0, 0.0)
-    """[m] Depths of the clasps below the rim; 0 if they touch it."""
-
+    # Closures of a gripping hitch: 0 around the object, 1 in its grip
     closure: tuple[float, float] = (1.0, 1.0)
-    """Closures of a gripping hitch: 0 around the object, 1 in its grip."""
-
     friction_share: tuple[float, float] = (0.0, 0.0)
     """Friction feed-forwards, as fractions of clasp friction.
 
     Legs pull harder than edges, so that clasps close; it is negative while they open.
     """
 
-    roll: tuple[float, float] = (0.0, 0.0)
-    """[rad] Rolls of all clasps."""
-
-    remark: str = ""
-    """Why it is slower than its law could be, in words."""
+    roll: tuple[float, float] = (0.0, 0.0)  # [rad] Rolls of all clasps
+    remark: str = ""  # Why it is slower than its law could be, in words
 
     @property
     def lifted(self) -> bool:
@@ -163,17 +141,10 @@ class Move:
 class MoveState:
     """The state of an object during a move, at times (…)."""
 
-    move: Move
-    """The move."""
-
-    progress: Array
-    """(…), of the move."""
-
-    speed: Array
-    """(…) [1/s], of the progress."""
-
-    acceleration: Array
-    """(…) [1/s²], of the progress."""
+    move: Move  # The move
+    progress: Array  # (…), of the move
+    speed: Array  # (…) [1/s], of the progress
+    acceleration: Array  # (…) [1/s²], of the progress
 
     def between(self, before: Array | float, after: Array | float) -> Array:
         """Return interpolated values (…) or (…, k) between two values, scalars or (k,)."""
@@ -214,8 +185,7 @@ class MoveState:
 DIFFERENCE_STEP = 2e-3
 """[s] Step of fourth-order finite differences, whose error is 1e-9 m/s² for typical motions."""
 
-STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-"""Times at which differences take values, in steps."""
+STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])  # Times at which differences take values, in steps
 
 FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
 """Weights of these values in the first derivative."""
@@ -227,8 +197,7 @@ MAX_PIECE = 0.5
 """[s] Longest piece of a cruise. An error of second derivatives at the ends of a piece, some 0.01
 of the loads' rate of change before, displaces clasps by that times its squared duration."""
 
-MAX_STEADY_PIECE = 2.5
-"""[s] Longest piece of the cruise of steady moves."""
+MAX_STEADY_PIECE = 2.5  # [s] Longest piece of the cruise of steady moves
 
 
 class Timed(Protocol):

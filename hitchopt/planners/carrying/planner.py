@@ -32,8 +32,7 @@ from hitchopt.planners.forming.circles import spread_hitch
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.values import Array
 
-LIFT_SPEED = 0.4
-"""[m/s] Vertical speed with an object."""
+LIFT_SPEED = 0.4  # [m/s] Vertical speed with an object
 
 AROUND_SPEED = 0.4
 """[m/s] Largest speed of hitches that move around an object, and of clasps that rise to a rim."""
@@ -42,14 +41,9 @@ CLOSING_SPEED = 0.25
 """[m/s] Largest speed of clasps through which cables slide as a hitch closes around an object or
 opens. At 0.4 m/s links of simulated ropes catch and snap by more than five times the tension."""
 
-BELOW_RIM = 0.01
-"""[m] Depth of cables below a rim, in addition to ``separation.object``."""
-
-CARRY_ACCELERATION = 1.0
-"""[m/s²] Largest acceleration of objects that are carried."""
-
-LIFT_ACCELERATION = 0.8
-"""[m/s²] Largest acceleration of objects that are lifted or set down."""
+BELOW_RIM = 0.01  # [m] Depth of cables below a rim, in addition to ``separation.object``.
+CARRY_ACCELERATION = 1.0  # [m/s²] Largest acceleration of objects that are carried
+LIFT_ACCELERATION = 0.8  # [m/s²] Largest acceleration of objects that are lifted or set down
 
 CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing", "object_clearance")
 """Checks to which moves of a carried object are slowed down."""
@@ -67,30 +61,21 @@ TRIAL_DIRECTIONS = (
 """Directions of x, y, z and yaw in which holds are tried, forward and braking, and the largest
 acceleration [m/s²] of each."""
 
-TRIAL_HEIGHT = 1.0
-"""[m] Height above its place at which a held object is tried."""
+TRIAL_HEIGHT = 1.0  # [m] Height above its place at which a held object is tried
 
 LOAD_LAW = SmoothLaw(0.3)
 """Law of changes of tensions, of friction feed-forward, and of weight from support to clasps."""
 
-MAX_SLOWINGS = 10
-"""Maximum number of slowings of a move."""
-
-SLOWING_FACTOR = 1.5
-"""Factor of a slowing if the required one is unknown."""
-
-SLOWING_BISECTIONS = 3
-"""Number of durations that are tried between the last two slowings."""
-
-SLOWING_RESERVE = 1.01
-"""Factor of a slowing over the required one."""
+MAX_SLOWINGS = 10  # Maximum number of slowings of a move
+SLOWING_FACTOR = 1.5  # Factor of a slowing if the required one is unknown
+SLOWING_BISECTIONS = 3  # Number of durations that are tried between the last two slowings
+SLOWING_RESERVE = 1.01  # Factor of a slowing over the required one
 
 LOW_OPENING_TENSION = 0.3
 """[N] Preferred tension of cables as grips open, and the lowest one as they close, if edges would
 push the object. With low tensions cables hold each other less, but sag more."""
 
-HIGH_OPENING_TENSION = 0.6
-"""[N] Other candidate tension of cables as grips open."""
+HIGH_OPENING_TENSION = 0.6  # [N] Other candidate tension of cables as grips open
 
 FRICTION_SHARES = (0.9, 0.6, 0.3, 0.0)
 """Candidate friction feed-forwards of closing and opening, as shares of clasp friction, in order of
@@ -100,41 +85,27 @@ PASSAGE_CHECKS = ("separation", "cable_length", "equilibrium")
 """Checks that reject a friction feed-forward, with which the sag of edges jumps at other corners,
 or a tension, with which heavy cables sag too far."""
 
-MAX_RESIDUAL_GRIP = 0.5
-"""Largest residual slip load of an open hitch over the weight."""
-
-MAX_PUSH = 0.9
-"""Largest push of edges on a standing object over the friction with its support."""
+MAX_RESIDUAL_GRIP = 0.5  # Largest residual slip load of an open hitch over the weight
+MAX_PUSH = 0.9  # Largest push of edges on a standing object over the friction with its support
 
 
 @dataclass(frozen=True, eq=False)
 class GraspState:
     """An object that a hitch encloses or holds."""
 
-    object: str
-    """Name of the object."""
-
-    polygons: HoldPolygons
-    """Polygons of the hitch, in the object's frame."""
-
-    tension: Array
-    """(n,) [N], of cables from grasping to loosening."""
-
+    object: str  # Name of the object
+    polygons: HoldPolygons  # Polygons of the hitch, in the object's frame
+    tension: Array  # (n,) [N], of cables from grasping to loosening
+    # The hitch that holds the object; None while it only encloses it
     hold: HoldingHitch | None = None
-    """The hitch that holds the object; None while it only encloses it."""
-
-    carried: bool = False
-    """True if clasps carry the object's weight."""
+    carried: bool = False  # True if clasps carry the object's weight
 
 
 class Passage(NamedTuple):
     """The closing or the opening of a grip."""
 
-    motion: Motion
-    """The motion, as one phase."""
-
-    moves: list[Move]
-    """Its consecutive moves."""
+    motion: Motion  # The motion, as one phase
+    moves: list[Move]  # Its consecutive moves
 
 
 def one_phase(
@@ -171,14 +142,9 @@ def first_violated(motion: Motion, checks: Sequence[str]) -> Check | None:
 class MovePlanner:
     """A planner of moves of a hitch with the object that it holds."""
 
-    state: GraspState
-    """Initial state of the grasp."""
-
-    requirements: Requirements
-    """Limits, and objects at their current positions."""
-
-    step: int
-    """Index of the step in its mission."""
+    state: GraspState  # Initial state of the grasp
+    requirements: Requirements  # Limits, and objects at their current positions
+    step: int  # Index of the step in its mission
 
     @property
     def hold(self) -> HoldingHitch:

@@ -38,22 +38,17 @@ REST_STRETCHES = np.ones(1)
 """Candidate aspect ratio of the polygon around an object that is to rest on clasps, over that of
 the polygon that holds it."""
 
-GRIP_STRETCHES = np.geomspace(0.25, 4.0, 81)
-"""The same ratios for grips."""
+GRIP_STRETCHES = np.geomspace(0.25, 4.0, 81)  # The same ratios for grips
 
 
 @dataclass(frozen=True, eq=False)
 class HoldPolygons:
     """Clasps around an object and clasps that hold it, in its frame."""
 
-    around: Array
-    """(n, 2) [m], clear of the object."""
-
-    clasps: Array
-    """(n, 2) [m], below its rim, or with edges that grip it."""
-
+    around: Array  # (n, 2) [m], clear of the object
+    clasps: Array  # (n, 2) [m], below its rim, or with edges that grip it
+    # (n, 2) [m] each, below its rim, nearer to the rim's edge where legs may rise more steeply
     outer: tuple[Array, ...] = ()
-    """(n, 2) [m] each, below its rim, nearer to the rim's edge where legs may rise more steeply."""
 
     @property
     def below_rim(self) -> tuple[Array, ...]:
@@ -125,8 +120,7 @@ SKEW_WEIGHT = 100.0
 """Weight of the squared moment there against the slip load. Without it crates turned by 30° in
 simulation."""
 
-DIFFERENCE_STEP = 1e-6
-"""[m] Step of central differences of margins."""
+DIFFERENCE_STEP = 1e-6  # [m] Step of central differences of margins
 
 LIFT_MARGIN = 0.05
 """Margin of all distances over their limits, which exceeds the changes by lifting."""
@@ -134,36 +128,20 @@ LIFT_MARGIN = 0.05
 MAX_IMBALANCE = 1e-6
 """Largest horizontal force on the section over the tension, and moment over tension and size."""
 
-SCREENING_ITERATIONS = 12
-"""Maximum number of iterations from every guess."""
-
-FINALISTS = 3
-"""Number of best grips that are refined further: mirror images, and another one."""
-
-MAX_ITERATIONS = 60
-"""Maximum number of iterations from the finalists."""
-
-MERIT_TOLERANCE = 1e-7
-"""Change of the slip load over the tension at which a refinement ends."""
-
-MAX_ROWS = 36
-"""Largest number of margins of a kind in a quadratic program."""
-
-REDUCED_ROWS = 6
-"""Number of the smallest margins of a kind that has more than MAX_ROWS."""
+SCREENING_ITERATIONS = 12  # Maximum number of iterations from every guess
+FINALISTS = 3  # Number of best grips that are refined further: mirror images, and another one
+MAX_ITERATIONS = 60  # Maximum number of iterations from the finalists
+MERIT_TOLERANCE = 1e-7  # Change of the slip load over the tension at which a refinement ends
+MAX_ROWS = 36  # Largest number of margins of a kind in a quadratic program
+REDUCED_ROWS = 6  # Number of the smallest margins of a kind that has more than MAX_ROWS
 
 GUESS_GAPS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
 """Pairs of distances of a guess's vertices to the section, over its mean radius, which alternate
 along the vertices; for odd numbers of vertices only the first pair, whose distances are equal."""
 
-EVEN_GUESSES = 3
-"""Number of guesses turned by equal parts of their symmetry."""
-
-MAX_ALIGNED_GUESSES = 6
-"""Largest number of guesses aligned with sides."""
-
-DECIMALS = 12
-"""Decimal places of centroids and reported ratios, which round errors to zero."""
+EVEN_GUESSES = 3  # Number of guesses turned by equal parts of their symmetry
+MAX_ALIGNED_GUESSES = 6  # Largest number of guesses aligned with sides
+DECIMALS = 12  # Decimal places of centroids and reported ratios, which round errors to zero
 
 
 class ClearancePairs(NamedTuple):
@@ -173,43 +151,23 @@ class ClearancePairs(NamedTuple):
     tangents at ``p_{k+1}`` and all r-legs.
     """
 
-    drones: Indices
-    """(2, pairs): two drones."""
-
-    drones_with_parts: Indices
-    """(2, pairs): a drone, and a part other than the leg that ends at it."""
-
-    parts: Indices
-    """(2, pairs): two parts."""
+    drones: Indices  # (2, pairs): two drones
+    drones_with_parts: Indices  # (2, pairs): a drone, and a part other than the leg that ends at it
+    parts: Indices  # (2, pairs): two parts
 
 
 @dataclass(frozen=True, eq=False)
 class GripTask:
     """The problem of a grip."""
 
-    section: Section
-    """The section to grip."""
-
-    robots: int
-    """Number n of robots."""
-
-    cable_length: float
-    """Length of all cables [m]."""
-
-    tension: float
-    """Tension of all cables [N]."""
-
-    clasp_friction: float
-    """Friction coefficient between cables."""
-
-    requirements: Requirements
-    """Distances to be kept."""
-
-    kind: Quadrotor
-    """Kind of all quadrotors."""
-
-    yaw_reserve: float = YAW_RESERVES[0]
-    """Smallest stiffness of yaw over tension and size."""
+    section: Section  # The section to grip
+    robots: int  # Number n of robots
+    cable_length: float  # Length of all cables [m]
+    tension: float  # Tension of all cables [N]
+    clasp_friction: float  # Friction coefficient between cables
+    requirements: Requirements  # Distances to be kept
+    kind: Quadrotor  # Kind of all quadrotors
+    yaw_reserve: float = YAW_RESERVES[0]  # Smallest stiffness of yaw over tension and size
 
     def grip(self, vertices: Array) -> Grip:
         """Return the grip with vertices (…, n, 2) [m]."""
@@ -599,41 +557,29 @@ EDGE_MARGIN = 0.045
 SUFFICIENT_INSET = 0.05
 """[m] Sufficient distance of clasps to the rim's outline, and of edges to the body."""
 
-MIN_INSET = 0.01
-"""[m] Minimum of these distances."""
+MIN_INSET = 0.01  # [m] Minimum of these distances
 
 OUTER_INSET = 0.02
 """[m] Sufficient distance where none with a SUFFICIENT_INSET holds: legs may rise more steeply
 near the rim's edge without cutting it."""
 
-WIDTH_WEIGHT = 1e-3
-"""Weight of a support's width against an inset."""
-
-ANGLES = 12
-"""Number of candidate orientations."""
-
-ASPECTS = 17
-"""Number of candidate aspect ratios."""
-
-SIZES = np.linspace(0.05, 1.0, 96)
-"""Candidate sizes of a polygon below a rim, over the rim's own."""
+WIDTH_WEIGHT = 1e-3  # Weight of a support's width against an inset
+ANGLES = 12  # Number of candidate orientations
+ASPECTS = 17  # Number of candidate aspect ratios
+SIZES = np.linspace(0.05, 1.0, 96)  # Candidate sizes of a polygon below a rim, over the rim's own
 
 
 class RestCandidates(NamedTuple):
     """Candidate polygons of clasps below a rim, by orientation, and what they are compared by."""
 
-    polygons: Array
-    """(angles, candidates, n, 2) [m]"""
-
+    polygons: Array  # (angles, candidates, n, 2) [m]
     insets: Array
     """(angles, candidates) [m], smaller distance of clasps to the rim's outline and of edges to the
     body."""
 
-    widths: Array
-    """(angles, candidates) [m], smallest distance of the centre of mass to an edge."""
-
+    widths: Array  # (angles, candidates) [m], smallest distance of the centre of mass to an edge
+    # (angles, candidates) [m], largest length of a leg below the rim; inf without a MIN_INSET
     longest: Array
-    """(angles, candidates) [m], largest length of a leg below the rim; inf without a MIN_INSET."""
 
     @classmethod
     def of(cls, body: SolidObject, rim: Section, robots: int) -> RestCandidates:

@@ -28,30 +28,21 @@ from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw
 from hitchopt.values import Array, Indices
 
-SENSE = 1.0
-"""Sense of both clasps: cables of q-drones lie on those of r-drones."""
-
-OPEN = -math.pi * SENSE
-"""[rad] Roll at which cables lie on one another."""
-
-MIN_BEND = 1e-3
-"""Smallest difference of two bends at which drones rest."""
+SENSE = 1.0  # Sense of both clasps: cables of q-drones lie on those of r-drones
+OPEN = -math.pi * SENSE  # [rad] Roll at which cables lie on one another
+MIN_BEND = 1e-3  # Smallest difference of two bends at which drones rest
 
 PITCHED_SHARE = 0.6
 """Bend up to which cables are pitched, over that at which drones pass each other."""
 
-MAX_PITCHED = 0.5
-"""Largest bend up to which cables are pitched."""
+MAX_PITCHED = 0.5  # Largest bend up to which cables are pitched
 
 SHORT_SIDE = 3e-3
 """[m] Longest side of a rounded corner. Where a pitched cable passes one, its straight part moves
 across by the side's length times the pitch, within what checks of lengths and forces permit."""
 
-BEND_DECIMALS = 9
-"""Decimal places of bends at events: those of symmetric cables are the same."""
-
-ITERATIONS = 8
-"""Fixed-point steps of the length of edges, whose sag changes as they bend."""
+BEND_DECIMALS = 9  # Decimal places of bends at events: those of symmetric cables are the same
+ITERATIONS = 8  # Fixed-point steps of the length of edges, whose sag changes as they bend
 
 OUTWARD = np.array([[-1.0], [1.0]])
 """(2, 1): sign of the direction away from the object, at the q- and the r-end of a cable, along the
@@ -64,51 +55,31 @@ TURN_SENSES = np.array([1.0, -1.0])
 class Place(NamedTuple):
     """A place of cables on their path around the object."""
 
-    bend: float
-    """Fraction of the final turns, from 0 (straight) to 1 (crossing at the clasps)."""
-
-    beside: float
-    """[m] Distance from the object."""
-
-    pitch: float
-    """[rad] Slope of cables, q-drones up."""
-
-    above: float
-    """[m] Height above the clasps."""
+    bend: float  # Fraction of the final turns, from 0 (straight) to 1 (crossing at the clasps)
+    beside: float  # [m] Distance from the object
+    pitch: float  # [rad] Slope of cables, q-drones up
+    above: float  # [m] Height above the clasps
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceChange:
     """A change of the place with a smooth progress."""
 
-    start: Place
-    """The place at the start."""
-
-    end: Place
-    """The place at the end."""
-
-    law: SmoothLaw
-    """Law of the progress."""
-
+    start: Place  # The place at the start
+    end: Place  # The place at the end
+    law: SmoothLaw  # Law of the progress
+    # True if all points move straight, with constant loads and shapes
     steady: ClassVar[bool] = False
-    """True if all points move straight, with constant loads and shapes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Straddle:
     """Two cables that are tied around an object with one tension."""
 
-    grip: GripHold
-    """Their final hitch, tied ``around`` and drawn to the object."""
-
-    tension: Array
-    """(n,) [N], of all cables as they are tied."""
-
-    pitch: float
-    """[rad] Slope of cables whose ends cross beyond the object, q-drones up."""
-
-    beside: float
-    """[m] Distance of straight cables to the object, before they touch it."""
+    grip: GripHold  # Their final hitch, tied ``around`` and drawn to the object
+    tension: Array  # (n,) [N], of all cables as they are tied
+    pitch: float  # [rad] Slope of cables whose ends cross beyond the object, q-drones up
+    beside: float  # [m] Distance of straight cables to the object, before they touch it
 
     @cached_property
     def hold(self) -> GripHold:

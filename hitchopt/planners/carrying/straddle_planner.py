@@ -54,8 +54,7 @@ MIN_RADIAL = 0.05
 PITCHES = tuple(float(np.radians(angle)) for angle in (4.0, 6.0, 8.0, 11.0, 15.0))
 """[rad] Candidate slopes of cables, q-drones up, in the order of trial."""
 
-STRADDLE_SPEED = 0.3
-"""[m/s] Largest speed of drones while cables bend around an object."""
+STRADDLE_SPEED = 0.3  # [m/s] Largest speed of drones while cables bend around an object
 
 MAX_TURN = math.radians(20.0)
 """[rad] Largest angle by which hanging cables turn about an object on straight lines."""
@@ -63,51 +62,28 @@ MAX_TURN = math.radians(20.0)
 BESIDE = 0.08
 """[m] Distance of straight cables to the object, in addition to ``separation.object``."""
 
-DISTANCE_FACTOR = 1.1
-"""Factor on the distances of cables in planning."""
-
-EXTRA_DISTANCE = 0.01
-"""[m] Distance of cables in planning, in addition to the scaled one."""
-
-MIN_HEIGHT = 0.06
-"""[m] Smallest height of drones over the ground while cables are tied."""
-
-TENSION_SECONDS = 0.5
-"""[s] Rise of the tension from that of cables drawn taut."""
-
-SAMPLED_LAW = SmoothLaw(0.5)
-"""Law of changes of which only the shape is used."""
-
-SAMPLES = 21
-"""Number of samples of a change of the place."""
+DISTANCE_FACTOR = 1.1  # Factor on the distances of cables in planning
+EXTRA_DISTANCE = 0.01  # [m] Distance of cables in planning, in addition to the scaled one
+MIN_HEIGHT = 0.06  # [m] Smallest height of drones over the ground while cables are tied
+TENSION_SECONDS = 0.5  # [s] Rise of the tension from that of cables drawn taut
+SAMPLED_LAW = SmoothLaw(0.5)  # Law of changes of which only the shape is used
+SAMPLES = 21  # Number of samples of a change of the place
 
 MIN_TRAVEL = 1e-3
 """[m] Smallest path of drones by which limits of a change of the place are divided."""
 
-SLOWING_RESERVE = 1.01
-"""Factor of a slowing over the required one."""
-
-UNFIT = -1e3
-"""Margin of candidates that no plan can use."""
+SLOWING_RESERVE = 1.01  # Factor of a slowing over the required one
+UNFIT = -1e3  # Margin of candidates that no plan can use
 
 
 class Distance(NamedTuple):
     """The smallest of the distances that a check of the certificate limits."""
 
-    check: str
-    """Name of the check."""
-
-    value: float
-    """The smallest distance [unit]."""
-
-    limit: float
-    """Its limit [unit]."""
-
-    planned: float
-    """The limit with the reserve of planning [unit]."""
-
-    unit: str = "m"
-    """Unit of all three."""
+    check: str  # Name of the check
+    value: float  # The smallest distance [unit]
+    limit: float  # Its limit [unit]
+    planned: float  # The limit with the reserve of planning [unit]
+    unit: str = "m"  # Unit of all three
 
     @property
     def margin(self) -> float:
@@ -123,11 +99,8 @@ class Distance(NamedTuple):
 class HangingDrones(NamedTuple):
     """Drones of two cables that hang next to an object."""
 
-    drones: Array
-    """(2n, 3) [m]"""
-
-    rise: float
-    """Their height above the drones of cables that are drawn taut there [m]."""
+    drones: Array  # (2n, 3) [m]
+    rise: float  # Their height above the drones of cables that are drawn taut there [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +110,7 @@ class StraddlePlanner(MovePlanner):
     Its grasp is the grip to which they are drawn, with the tension with which they are tied.
     """
 
-    path: Straddle
-    """The path of the cables."""
+    path: Straddle  # The path of the cables
 
     # Distances, at samples.
 

@@ -43,11 +43,8 @@ from hitchopt.values.fields import with_fields
 if TYPE_CHECKING:
     from hitchopt.planners.separation import SeparationTask
 
-PAIR_SEPARATION = 1.6
-"""Separation [1] of a gathered robot's two drones."""
-
-DISC_SEPARATION = 1.15
-"""Minimum separation [1] of the discs at the goal."""
+PAIR_SEPARATION = 1.6  # Separation [1] of a gathered robot's two drones
+DISC_SEPARATION = 1.15  # Minimum separation [1] of the discs at the goal
 
 RISE_RESERVE = 0.1
 """Reserve of a raised flight over the height that its cables lack, over ``separation.cable``."""
@@ -60,23 +57,12 @@ PREFERENCE_OF_ORDER = 0.1
 class Approach(ABC):
     """A planner of flights with free cables."""
 
-    name: ClassVar[str]
-    """What it is, among the candidates of an approach."""
-
-    team: Team
-    """The team of the drones."""
-
-    start: Array
-    """(2n, 3) [m]"""
-
-    goal: Array
-    """(2n, 3) [m]"""
-
-    requirements: Requirements
-    """Requirements at all times."""
-
-    index: int = 0
-    """Index of the step in its mission."""
+    name: ClassVar[str]  # What it is, among the candidates of an approach
+    team: Team  # The team of the drones
+    start: Array  # (2n, 3) [m]
+    goal: Array  # (2n, 3) [m]
+    requirements: Requirements  # Requirements at all times
+    index: int = 0  # Index of the step in its mission
 
     @property
     @abstractmethod
@@ -214,11 +200,8 @@ class OverApproach(DirectApproach):
 class Headings(NamedTuple):
     """Headings of robots, from their q- to their r-drones, while they turn."""
 
-    halfway: Array
-    """(n,) [rad], halfway through the turn."""
-
-    at_goal: Array
-    """(n,) [rad], at the goal."""
+    halfway: Array  # (n,) [rad], halfway through the turn
+    at_goal: Array  # (n,) [rad], at the goal
 
 
 def _headings_of(drones: Array) -> Array:

@@ -27,11 +27,8 @@ from hitchopt.values import Array
 class CircleSize(NamedTuple):
     """Edge lengths of a polygon on a circle."""
 
-    slack: float
-    """Slack of every cable for its legs, over the shortest one of two legs."""
-
-    max_edge: float
-    """Longest edge over the shortest one."""
+    slack: float  # Slack of every cable for its legs, over the shortest one of two legs
+    max_edge: float  # Longest edge over the shortest one
 
 
 SIZES = tuple(
@@ -43,8 +40,7 @@ FURTHER_SIZES = tuple(CircleSize(slack, 5.0) for slack in (1.5, 1.8))
 """Sizes between them, of which many robots on short cables need one: their legs are long enough to
 keep drones off cables, and short enough not to cross."""
 
-MAX_SLACK_SHARE = 0.5
-"""Largest slack over the length of a cable."""
+MAX_SLACK_SHARE = 0.5  # Largest slack over the length of a cable
 
 PHASES = tuple(math.radians(angle) for angle in (0.0, 60.0, -60.0, 120.0, -120.0, 180.0))
 """[rad] Turns out of the polygon nearest to the goal, in the order of the search."""
@@ -52,8 +48,7 @@ PHASES = tuple(math.radians(angle) for angle in (0.0, 60.0, -60.0, 120.0, -120.0
 MAX_ARC = math.radians(150.0)
 """[rad] Largest arc of an edge: longer edges are shortened, which keeps the centre inside."""
 
-BISECTIONS = 50
-"""Number of bisections of the circle's radius and of the longest edge."""
+BISECTIONS = 50  # Number of bisections of the circle's radius and of the longest edge
 
 
 def circular_polygon(edge_lengths: Array) -> ConvexPolygon:
@@ -110,11 +105,8 @@ def _radius(chords: Array) -> float:
 class CircularHitches:
     """The hitches on circles near a goal."""
 
-    goal: Hitch
-    """The hitch that cannot be tied directly."""
-
-    requirements: Requirements
-    """Limits and distances."""
+    goal: Hitch  # The hitch that cannot be tied directly
+    requirements: Requirements  # Limits and distances
 
     def shapes(self, sizes: Iterable[CircleSize]) -> Iterator[Hitch]:
         """Yield hitches without roll about the origin, whose legs keep all distances."""

@@ -47,14 +47,9 @@ from hitchopt.values import Array, Indices
 SHARES = tuple(0.5 + sign * off for off in np.linspace(0.0, 0.2, 11) for sign in (1.0, -1.0))
 """Slack splits in the order of the search."""
 
-ANGLES = 61
-"""Number of sampled angles of the roll; the certificate bounds all of them."""
-
-DISTANCE_FACTOR = 1.2
-"""Factor on distance limits of cables in planning."""
-
-EXTRA_DISTANCE = 0.03
-"""[m] Distance added to these limits."""
+ANGLES = 61  # Number of sampled angles of the roll; the certificate bounds all of them
+DISTANCE_FACTOR = 1.2  # Factor on distance limits of cables in planning
+EXTRA_DISTANCE = 0.03  # [m] Distance added to these limits
 
 SPACINGS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
 """Candidate distances between levels, over the smallest one."""
@@ -62,11 +57,8 @@ SPACINGS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
 SLANTS = (0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0)
 """Candidate displacements along edges, over those normal to them."""
 
-OFFSET_STEP = 0.05
-"""Step of the distance from edges' lines, over the mean cable length."""
-
-MAX_OFFSET_STEPS = 60
-"""Maximum number of these steps."""
+OFFSET_STEP = 0.05  # Step of the distance from edges' lines, over the mean cable length
+MAX_OFFSET_STEPS = 60  # Maximum number of these steps
 
 TENSION_SECONDS = 0.3
 """[s] Transition time from the tensions of taut cables on their own to those of the hitch."""
@@ -81,14 +73,9 @@ def planned_distance(separation: Separation) -> float:
 class RollPath:
     """A path on which legs turn about fixed clasps: the roll (clasps,) is linear in s."""
 
-    hitch: Hitch
-    """The hitch, whose clasps, slack split and tensions are constant."""
-
-    start: Array
-    """(clasps,) [rad], roll at s = 0."""
-
-    end: Array
-    """(clasps,) [rad], roll at s = 1."""
+    hitch: Hitch  # The hitch, whose clasps, slack split and tensions are constant
+    start: Array  # (clasps,) [rad], roll at s = 0
+    end: Array  # (clasps,) [rad], roll at s = 1
 
     @property
     def team(self) -> Team:
@@ -148,26 +135,14 @@ def senses_of(layout: Layout, levels: Indices) -> Array:
 class Laying:
     """A hitch with its laying order and start positions."""
 
-    hitch: Hitch
-    """The hitch to be tied."""
-
-    levels: Indices
-    """(n,), order of the cables, 0 the lowest."""
-
-    spacing: float = 0.0
-    """[m], between levels."""
-
-    offsets: Array | float = 0.0
-    """(n, 2) [m], of the start from the edges' lines."""
-
-    spans: Array | float = 0.0
-    """(n,) [m], distances of drones with hanging cables."""
-
-    errors: bool = False
-    """True if drones have position errors, which may pull hanging cables taut."""
-
+    hitch: Hitch  # The hitch to be tied
+    levels: Indices  # (n,), order of the cables, 0 the lowest
+    spacing: float = 0.0  # [m], between levels
+    offsets: Array | float = 0.0  # (n, 2) [m], of the start from the edges' lines
+    spans: Array | float = 0.0  # (n,) [m], distances of drones with hanging cables
+    errors: bool = False  # True if drones have position errors, which may pull hanging cables taut
+    # True if a requirement may be violated: samples are of drones alone
     doubtful: ClassVar[bool] = True
-    """True if a requirement may be violated: samples are of drones alone."""
 
     @property
     def senses(self) -> Array:

@@ -59,21 +59,18 @@ MIN_SEPARATION = 1.05
 SAMPLED_SEPARATION = 0.99 * MIN_SEPARATION
 """Smallest separation [1] at samples of the swaps, whose ellipses are made for MIN_SEPARATION."""
 
-MAX_SPAN_RATIO = 0.97
-"""Largest distance of the drones of a hanging cable, over its length."""
+MAX_SPAN_RATIO = 0.97  # Largest distance of the drones of a hanging cable, over its length
 
 SLACK_OVER_ERROR = 6.0
 """Slack of hanging cables over the position error of drones, which displaces tauter ones far."""
 
-CLEARANCE = 1.05
-"""Clearance of drones to cables, over ``Separation.cable``."""
+CLEARANCE = 1.05  # Clearance of drones to cables, over ``Separation.cable``.
 
 MIN_LINK = 0.05
 """[m] Smallest length of two cables beyond the crossing of their chords at a clasp, in plan view
 after the first swap: cables that do not cross there do not clasp."""
 
-ANGLES = 73
-"""Number of sampled angles; the certificate bounds all of them."""
+ANGLES = 73  # Number of sampled angles; the certificate bounds all of them
 
 SAMPLES = np.linspace(0.0, 1.0, 41)
 """Sampled fractions of a hanging cable's length and of straight flights."""
@@ -87,8 +84,7 @@ MAX_PIECE_ANGLE = 0.3
 TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Fractions of the acceleration that are centripetal at full speed; the rest is tangential."""
 
-JERK_SHARE = 0.7
-"""Fraction of the jerk for the angle's own rate."""
+JERK_SHARE = 0.7  # Fraction of the jerk for the angle's own rate
 
 HELD_BACK = 0.01
 """[m] Largest distance by which sagging cables hold back drones, at rest, as tensions rise.
@@ -122,26 +118,13 @@ class SwapEllipses:
     vertex with nearly collinear edges, it would fly into the loop of its neighbour's hanging cable.
     """
 
-    team: Team
-    """Team of the drones."""
-
-    centres: Array
-    """(clasps, 3) [m], c."""
-
-    along: Array
-    """(clasps, 3), t: horizontal unit vectors from ``r_{k-1}`` to ``q_k``."""
-
-    upward: Array
-    """(clasps, 3), w: unit vectors normal to t, upward and tilted inward."""
-
-    half: Array
-    """(clasps,) [m], a: half of the chord."""
-
-    rise: Array
-    """(clasps,) [m], h: the other semi-axis, negative if q_k goes down first."""
-
-    ends: Array
-    """(k, 3) [m]: drones at the ends of a chain, which do not turn."""
+    team: Team  # Team of the drones
+    centres: Array  # (clasps, 3) [m], c
+    along: Array  # (clasps, 3), t: horizontal unit vectors from ``r_{k-1}`` to ``q_k``
+    upward: Array  # (clasps, 3), w: unit vectors normal to t, upward and tilted inward
+    half: Array  # (clasps,) [m], a: half of the chord
+    rise: Array  # (clasps,) [m], h: the other semi-axis, negative if q_k goes down first
+    ends: Array  # (k, 3) [m]: drones at the ends of a chain, which do not turn
 
     def drones(self, angle: Array | float, derivative: int = 0) -> Array:
         """Return the drones (…, 2n, 3) [m] at angles θ (…), or a derivative in the angle."""
@@ -244,23 +227,12 @@ class SwapEllipses:
 class Bound(NamedTuple):
     """A requirement of the pre-hitch at samples, under the name of the certificate's check."""
 
-    ratio: float
-    """Above 1 if the requirement is violated."""
-
-    constraint: str
-    """Name of the check."""
-
-    value: float
-    """Worst value of the samples [unit]."""
-
-    limit: float
-    """Its limit [unit]."""
-
-    sense: Literal["min", "max"]
-    """Sense of the limit."""
-
-    unit: str
-    """Unit of value and limit."""
+    ratio: float  # Above 1 if the requirement is violated
+    constraint: str  # Name of the check
+    value: float  # Worst value of the samples [unit]
+    limit: float  # Its limit [unit]
+    sense: Literal["min", "max"]  # Sense of the limit
+    unit: str  # Unit of value and limit
 
     @classmethod
     def least(
@@ -280,29 +252,18 @@ class Bound(NamedTuple):
 class PreHitch:
     """A pre-hitch: drones and cables before and after the swaps."""
 
-    hitch: Hitch
-    """The hitch to be tied, at the altitude of the swaps."""
-
-    settings: SwapSettings
-    """Settings of the swaps."""
-
-    ellipses: SwapEllipses
-    """Ellipses of all pairs."""
-
-    share: float
-    """Share of the hitch's legs."""
-
+    hitch: Hitch  # The hitch to be tied, at the altitude of the swaps
+    settings: SwapSettings  # Settings of the swaps
+    ellipses: SwapEllipses  # Ellipses of all pairs
+    share: float  # Share of the hitch's legs
     depth: float
     """Largest depth of a cable below the drones' plane during the swaps [m].
 
     It is infinite where errors of position may pull a cable taut.
     """
 
-    linked: bool
-    """True if cables cross at all clasps after the first swap."""
-
-    tightest: Bound
-    """The requirement that is closest to its limit, or violated most."""
+    linked: bool  # True if cables cross at all clasps after the first swap
+    tightest: Bound  # The requirement that is closest to its limit, or violated most
 
     @property
     def violation(self) -> float:
@@ -487,11 +448,8 @@ def _ellipses(
 class SampledSwaps:
     """Drones and hanging cables at samples of the two swaps."""
 
-    ellipses: SwapEllipses
-    """Ellipses of all pairs."""
-
-    requirements: Requirements
-    """Distances to keep, and tracking errors."""
+    ellipses: SwapEllipses  # Ellipses of all pairs
+    requirements: Requirements  # Distances to keep, and tracking errors
 
     @cached_property
     def drones(self) -> Array:

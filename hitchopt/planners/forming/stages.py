@@ -28,8 +28,7 @@ from hitchopt.values.fields import with_fields
 
 T = TypeVar("T")
 
-MIN_RISE_SECONDS = 1.0
-"""[s] Shortest rise of the tensions, against which drones tilt."""
+MIN_RISE_SECONDS = 1.0  # [s] Shortest rise of the tensions, against which drones tilt
 
 MIN_RISE_PERIODS = 3.0
 """Shortest rise of the tensions over the longest period of a cable (see ``rise_seconds``)."""
@@ -86,14 +85,9 @@ def stage(
 class Keyframe(NamedTuple):
     """The end of a stage in which drones fly on straight lines, with their cables in one state."""
 
-    name: str
-    """Name of the phase."""
-
-    drones: Array
-    """(2n, 3) [m]"""
-
-    state: CableState = CableState.FREE
-    """State of the cables."""
+    name: str  # Name of the phase
+    drones: Array  # (2n, 3) [m]
+    state: CableState = CableState.FREE  # State of the cables
 
 
 def straight_stages(
@@ -196,11 +190,8 @@ GROUND_CLEARANCE = 1.1
 JOINT_RESERVE = 2e-3
 """[m] Reserve for bounds of ``tracking_radius``, which are lower than values at samples."""
 
-DRAWING_SHARE = 0.9
-"""Speed of drones that draw cables taut, over its limit."""
-
-PAUSE = 0.01
-"""[s] Duration of a flight in which no drone moves."""
+DRAWING_SHARE = 0.9  # Speed of drones that draw cables taut, over its limit
+PAUSE = 0.01  # [s] Duration of a flight in which no drone moves
 
 
 def straight_lines(team: Team, limits: Limits, start: Array, end: Array) -> PiecewisePolynomial:

@@ -43,8 +43,7 @@ from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
-UNIT_BREAKS = np.array([0.0, 1.0])
-"""Breakpoints of s for a path of one piece."""
+UNIT_BREAKS = np.array([0.0, 1.0])  # Breakpoints of s for a path of one piece
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +90,7 @@ class Action:
         return Path(self.start.team, track, law, roll=roll)
 
 
-START_TOLERANCE = 1e-6
-"""[m] Largest distance of a point at t = 0 from the vertex."""
+START_TOLERANCE = 1e-6  # [m] Largest distance of a point at t = 0 from the vertex
 
 
 def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
@@ -201,20 +199,12 @@ def _of_all_vertices(start: Hitch, vertex: int, track: PiecewisePolynomial) -> P
 class FlownAction:
     """The motion of an action, with names of further drones that move."""
 
-    motion: Motion
-    """The motion, without phases."""
-
-    path: Path | None = None
-    """The path that was timed; None if s is time."""
-
+    motion: Motion  # The motion, without phases
+    path: Path | None = None  # The path that was timed; None if s is time
+    # Names of drones that the law moves only because of unequal tensions or weight
     turning: tuple[str, ...] = ()
-    """Names of drones that the law moves only because of unequal tensions or weight."""
-
-    sliding: tuple[str, ...] = ()
-    """Names of drones that move only because the law was infeasible."""
-
-    worst: float | None = None
-    """The law's largest violation is at this s; None without one."""
+    sliding: tuple[str, ...] = ()  # Names of drones that move only because the law was infeasible
+    worst: float | None = None  # The law's largest violation is at this s; None without one
 
 
 MAX_EASED_STRETCH = 2.0
@@ -225,17 +215,10 @@ MAX_EASED_STRETCH = 2.0
 class ActionMorph:
     """A planner of actions, in which cables slide if a limit binds on the path."""
 
-    action: Action
-    """The action."""
-
-    end: Hitch
-    """The hitch after it; its legs may differ from those of the law."""
-
-    requirements: Requirements
-    """Limits and distances."""
-
-    duration: float | None = None
-    """Prescribed duration [s]; None for the fastest one."""
+    action: Action  # The action
+    end: Hitch  # The hitch after it; its legs may differ from those of the law
+    requirements: Requirements  # Limits and distances
+    duration: float | None = None  # Prescribed duration [s]; None for the fastest one
 
     @cached_property
     def path_by_law(self) -> Path:
@@ -339,11 +322,9 @@ class ActionMorph:
 class MovedDrones(NamedTuple):
     """The drones that move during an action."""
 
-    by_law: NDArray[np.bool_]
-    """(2n,): those that its law moves."""
-
+    by_law: NDArray[np.bool_]  # (2n,): those that its law moves
+    # (2n,): those that the motion moves in addition to those of the paper's action
     further: NDArray[np.bool_]
-    """(2n,): those that the motion moves in addition to those of the paper's action."""
 
 
 def _moving(path: Path, s: Array) -> NDArray[np.bool_]:

@@ -28,26 +28,16 @@ from hitchopt.trajectory.piecewise import summed
 from hitchopt.trajectory.splines import bspline, evenly_interpolated
 from hitchopt.values import Array, Indices
 
-SAMPLES = 97
-"""Number of points of the path at which offsets are free or not."""
+SAMPLES = 97  # Number of points of the path at which offsets are free or not
 
 HEADINGS = 48
 """Number of horizontal normals between bodies and obstacles; fewer keep corners too far away."""
 
-CLEARANCE = 0.01
-"""[m] Distance in addition to the limit, for what the path does between the points."""
-
-CLEARANCE_RAMP = 0.05
-"""Distance from an end in s over which this distance rises."""
-
-MAX_STEP = 0.2
-"""[m] Largest change of the offset between two points, which crosses no obstacle."""
-
-OFFSETS = 48
-"""Number of offsets of the grid to either side."""
-
-MAX_OFFSET = 8.0
-"""[m] Largest offset."""
+CLEARANCE = 0.01  # [m] Distance in addition to the limit, for what the path does between the points
+CLEARANCE_RAMP = 0.05  # Distance from an end in s over which this distance rises
+MAX_STEP = 0.2  # [m] Largest change of the offset between two points, which crosses no obstacle
+OFFSETS = 48  # Number of offsets of the grid to either side
+MAX_OFFSET = 8.0  # [m] Largest offset
 
 MIN_TRAVEL = 1e-3
 """[m] Smallest displacement of the middle across which detours lead; for smaller ones they lead
@@ -56,20 +46,11 @@ north, up and between."""
 TILTS = tuple(math.radians(angle) for angle in (0.0, 45.0, 90.0, 135.0))
 """[rad] Angles of the lines of offsets, from the left of the path upwards."""
 
-STAY = 0.25
-"""Length in s of both parts of a path on which a hitch stays, if it does."""
-
-STAY_STEPS = 24
-"""Number of steps between the knots of such a path."""
-
-DEGREE = 5
-"""Degree of the splines of offsets."""
-
-PIECES = 14
-"""Number of pieces of these splines."""
-
-BEND_WEIGHT = 1e-3
-"""Weight of squared second derivatives of offsets by s relative to first ones."""
+STAY = 0.25  # Length in s of both parts of a path on which a hitch stays, if it does
+STAY_STEPS = 24  # Number of steps between the knots of such a path
+DEGREE = 5  # Degree of the splines of offsets
+PIECES = 14  # Number of pieces of these splines
+BEND_WEIGHT = 1e-3  # Weight of squared second derivatives of offsets by s relative to first ones
 
 
 class Translatable(FlatPath, Protocol):
@@ -82,18 +63,13 @@ class Translatable(FlatPath, Protocol):
 class Obstacle(NamedTuple):
     """A prism or a slab of an object, with the bodies of a team that keep a distance from it."""
 
-    slab: Slab
-    """Its shape."""
-
-    pose: Array
-    """(5,): place [m], cosine and sine of its yaw."""
-
+    slab: Slab  # Its shape
+    pose: Array  # (5,): place [m], cosine and sine of its yaw
+    # Nodes (bodies, k) whose convex hulls are bodies, and the distance [m] that they keep
     bodies: list[tuple[Indices, float]]
-    """Nodes (bodies, k) whose convex hulls are bodies, and the distance [m] that they keep."""
 
 
-AT_ORIGIN = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-"""Pose of prisms."""
+AT_ORIGIN = np.array([0.0, 0.0, 0.0, 1.0, 0.0])  # Pose of prisms
 
 
 def obstacles_of(
@@ -132,17 +108,11 @@ def detours(path: Translatable, requirements: Requirements) -> list[PiecewisePol
 class Gaps(NamedTuple):
     """Offsets along a line that are not free, at the samples of a path."""
 
+    # (J, intervals) [m]: lower ends; infinite where a body is off its obstacle on all offsets
     lower: Array
-    """(J, intervals) [m]: lower ends; infinite where a body is off its obstacle on all offsets."""
-
-    upper: Array
-    """(J, intervals) [m]: upper ends."""
-
-    least: Array
-    """(J,) [m]: smallest offset within the walls and above the ground."""
-
-    largest: Array
-    """(J,) [m]: largest offset within the walls."""
+    upper: Array  # (J, intervals) [m]: upper ends
+    least: Array  # (J,) [m]: smallest offset within the walls and above the ground
+    largest: Array  # (J,) [m]: largest offset within the walls
 
     def free(self, offsets: Array) -> NDArray[np.bool_]:
         """Return which offsets (G,) are free at each sample, as (J, G)."""
@@ -173,20 +143,12 @@ class Gaps(NamedTuple):
 class DetourSearch:
     """The search for translations of a path around obstacles."""
 
-    layout: Layout
-    """Layout of the team."""
-
+    layout: Layout  # Layout of the team
+    # (J, nodes, 3) [m]: vertices, then drones, then points of a carried object, at the samples
     nodes: Array
-    """(J, nodes, 3) [m]: vertices, then drones, then points of a carried object, at the samples."""
-
-    obstacles: Sequence[Obstacle]
-    """Obstacles, with the bodies that keep a distance from them."""
-
-    requirements: Requirements
-    """Arena and floor."""
-
-    clearance: float = CLEARANCE
-    """[m] Distance in addition to the limits."""
+    obstacles: Sequence[Obstacle]  # Obstacles, with the bodies that keep a distance from them
+    requirements: Requirements  # Arena and floor
+    clearance: float = CLEARANCE  # [m] Distance in addition to the limits
 
     @classmethod
     def of(cls, path: FlatPath, requirements: Requirements) -> Self:
@@ -378,11 +340,6 @@ class DetourSearch:
         return None if coefficients is None else bspline(knots, coefficients[:, None], DEGREE)
 
 
-FAR = 100.0
-"""[m] Bound of offsets that are not bounded, as the solver expects."""
-
-EPS = 1e-9
-"""Smallest rate of a coordinate along a line that is not parallel to a plane."""
-
-REGULARISATION = 1e-9
-"""Added to the Hessian's diagonal."""
+FAR = 100.0  # [m] Bound of offsets that are not bounded, as the solver expects
+EPS = 1e-9  # Smallest rate of a coordinate along a line that is not parallel to a plane
+REGULARISATION = 1e-9  # Added to the Hessian's diagonal

@@ -34,22 +34,16 @@ from hitchopt.trajectory.piecewise import divided, on_breaks
 from hitchopt.trajectory.splines import bspline
 from hitchopt.values import Array
 
-MIN_LEAN = math.radians(0.5)
-"""[rad] Smallest lean, below which there is no feed-forward."""
-
-PIECES_PER_INTERVAL = 2
-"""Number of pieces of the drones' polynomials per interval of the splines."""
+MIN_LEAN = math.radians(0.5)  # [rad] Smallest lean, below which there is no feed-forward
+PIECES_PER_INTERVAL = 2  # Number of pieces of the drones' polynomials per interval of the splines
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionFeedforward:
     """A motion whose legs lean against friction."""
 
-    motion: Motion
-    """The motion with ``leg_tensions`` and stretched phases."""
-
-    lean: float
-    """[rad] Largest angle by which a leg leans."""
+    motion: Motion  # The motion with ``leg_tensions`` and stretched phases
+    lean: float  # [rad] Largest angle by which a leg leans
 
 
 def friction_feedforward(
@@ -155,11 +149,8 @@ def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:
     return PiecewisePolynomial.hermite(breaks, left, right)
 
 
-DEGREE = 5
-"""Degree of the friction splines, with four continuous derivatives."""
-
-KNOT_SPACING = 0.4
-"""[s] Spacing of their knots, with which friction reverses within a second."""
+DEGREE = 5  # Degree of the friction splines, with four continuous derivatives
+KNOT_SPACING = 0.4  # [s] Spacing of their knots, with which friction reverses within a second
 
 MIN_INTERVALS = 4
 """Minimum number of knot intervals, which limits the speed at which legs lean in short motions."""
@@ -173,24 +164,19 @@ ZERO_COEFFICIENTS = 3
 SLOW_SHARE = 0.1
 """Share of the largest leg rate that is added to divisors; slow legs then expect less friction."""
 
-MIN_LEG_RATE = 1e-5
-"""[m/s] Rate of a leg below which nothing slides."""
+MIN_LEG_RATE = 1e-5  # [m/s] Rate of a leg below which nothing slides
 
 MAX_LEAN = math.radians(12.0)
 """[rad] Largest lean, since the two legs of a sharp, locked vertex would approach each other."""
 
-DISTANCE_FACTOR = 1.02
-"""Factor on the distance limits of a clasp's drones and legs."""
+DISTANCE_FACTOR = 1.02  # Factor on the distance limits of a clasp's drones and legs
 
 MAX_FRICTION = 5.0
 """Upper bound of the friction coefficient: legs reach MAX_LEAN with much less, and exponentials of
 larger ones overflow."""
 
-MIN_DISTANCE = 1e-3
-"""[m] Distance of drones to the other leg of their clasp if they have no limit."""
-
-BISECTIONS = 20
-"""Number of bisections for the largest feasible fraction of friction."""
+MIN_DISTANCE = 1e-3  # [m] Distance of drones to the other leg of their clasp if they have no limit
+BISECTIONS = 20  # Number of bisections for the largest feasible fraction of friction
 
 
 def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
@@ -233,17 +219,10 @@ def _at_clasps(layout: Layout, legs: Array) -> Array:
 class _ForceTriangles:
     """The force triangles of all clasps at some times."""
 
-    pull: Array
-    """(J, clasps) [N]: magnitude of V, the pull of the edges."""
-
-    tensions: Array
-    """(J, clasps, 2) [N]: those of the cables behind and ahead."""
-
-    legs: Array
-    """(J, clasps, 2) [m]: ``e_{k-1}`` and ``d_k``."""
-
-    separation: Separation
-    """Limits of distances."""
+    pull: Array  # (J, clasps) [N]: magnitude of V, the pull of the edges
+    tensions: Array  # (J, clasps, 2) [N]: those of the cables behind and ahead
+    legs: Array  # (J, clasps, 2) [m]: ``e_{k-1}`` and ``d_k``
+    separation: Separation  # Limits of distances
 
     @classmethod
     def of(cls, motion: Motion, t: Array) -> _ForceTriangles:

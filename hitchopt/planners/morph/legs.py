@@ -17,8 +17,7 @@ from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
-PATH_SAMPLES = 65
-"""Number of sampled points of the path; the certificate bounds all of it."""
+PATH_SAMPLES = 65  # Number of sampled points of the path; the certificate bounds all of it
 
 REFINEMENTS = ((9, 1.005), (17, 1.005), (17, 1.02), (33, 1.002), (33, 1.01))
 """Numbers of knots at which leg lengths are optimised, and margins of distances and legs there."""
@@ -33,8 +32,7 @@ MARGIN_RAMP = 3.0
 ROUGHNESS_WEIGHT = 1.0
 """[m²] Weight of second differences of fractions between knots relative to deviations of legs."""
 
-SLIDING_TOLERANCE = 1e-6
-"""[m] Change of legs below which a cable keeps its law."""
+SLIDING_TOLERANCE = 1e-6  # [m] Change of legs below which a cable keeps its law
 
 
 def with_legs_clear(
@@ -82,11 +80,8 @@ def _nearby_laws(path: Path, requirements: Requirements, at_rest: bool) -> Itera
 ROLLS = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 45.0))
 """[rad] Rolls to which legs rise on a path. Simulated clasps hold up to 60°."""
 
-ROLL_RAMPS = (0.5, 0.3, 0.15)
-"""Parts of a path on which legs roll at either end."""
-
-ROLL_KNOTS = 33
-"""Number of knots of the roll along a path."""
+ROLL_RAMPS = (0.5, 0.3, 0.15)  # Parts of a path on which legs roll at either end
+ROLL_KNOTS = 33  # Number of knots of the roll along a path
 
 
 def rolling_paths(path: Path, requirements: Requirements, *, at_rest: bool = False) -> list[Path]:

@@ -23,8 +23,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
-POSITION_TOLERANCE = 1e-9
-"""[m] Distance below which positions are equal."""
+POSITION_TOLERANCE = 1e-9  # [m] Distance below which positions are equal
 
 
 def moves(start: Hitch, end: Hitch) -> bool:
@@ -56,11 +55,8 @@ def clear_straight_path(start: Hitch, end: Hitch, requirements: Requirements) ->
 MIN_ANGLE = math.radians(0.01)
 """[rad] Smallest exterior angle on a path, below which the clasp's bisector is inaccurate."""
 
-MIN_EDGE = 1e-3
-"""[m] Shortest edge on a path, below which its direction is inaccurate."""
-
-MIN_LEG = 1e-3
-"""[m] Shortest leg on a path, below which its direction is inaccurate."""
+MIN_EDGE = 1e-3  # [m] Shortest edge on a path, below which its direction is inaccurate
+MIN_LEG = 1e-3  # [m] Shortest leg on a path, below which its direction is inaccurate
 
 
 def exterior_angles(layout: Layout, edges: Array) -> Array:
@@ -75,8 +71,7 @@ def check_shapes(path: FlatPath) -> None:
         raise InfeasibleError([violation])
 
 
-ON_PATH = "of the path"
-"""Words for the path in descriptions of places on it."""
+ON_PATH = "of the path"  # Words for the path in descriptions of places on it
 
 
 def shape_violation(path: FlatPath, on_path: str = ON_PATH) -> Violation | None:
@@ -167,11 +162,8 @@ class BlendedMorph:
     minimise the third derivative. Their parameter is nearly the distance of the farthest drone.
     """
 
-    hitches: Sequence[Hitch]
-    """(J,): three or more, each different from the next."""
-
-    requirements: Requirements
-    """Limits of motion."""
+    hitches: Sequence[Hitch]  # (J,): three or more, each different from the next
+    requirements: Requirements  # Limits of motion
 
     @property
     def knots(self) -> Array:

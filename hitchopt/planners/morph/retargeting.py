@@ -25,11 +25,8 @@ from hitchopt.planners.timing.timed_motion import (
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-KNOTS = 33
-"""Number of shapes of the earlier motion through which a path passes."""
-
-TIMES = 513
-"""Number of times at which the earlier motion is sampled to space its shapes evenly."""
+KNOTS = 33  # Number of shapes of the earlier motion through which a path passes
+TIMES = 513  # Number of times at which the earlier motion is sampled to space its shapes evenly
 
 STRAIGHT_TOLERANCE = 1e-9
 """Largest distance of vertices from straight lines, flown together, over the longest of them."""
@@ -78,14 +75,9 @@ def motion_by_earlier_clock(
 class EarlierRoute:
     """Shapes of an earlier motion, evenly spaced along the way of its drones."""
 
-    vertices: Array
-    """(J, points, 3) [m]"""
-
-    fractions: Array
-    """(J, n), slack splits of the cables"""
-
-    roll: Array
-    """(J, clasps) [rad]"""
+    vertices: Array  # (J, points, 3) [m]
+    fractions: Array  # (J, n), slack splits of the cables
+    roll: Array  # (J, clasps) [rad]
 
     @classmethod
     def of(cls, motion: Motion) -> EarlierRoute:

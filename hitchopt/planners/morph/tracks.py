@@ -23,8 +23,7 @@ from hitchopt.values import Array
 REST_TOLERANCE = 1e-9
 """[m] Distance of two consecutive points below which the vertex rests between them."""
 
-AT_REST = (1, 2)
-"""Orders of the derivatives that vanish where a track begins and ends."""
+AT_REST = (1, 2)  # Orders of the derivatives that vanish where a track begins and ends
 
 
 def spline_through(s: Array, points: Array, zero_orders: tuple[int, int]) -> Array:
@@ -65,39 +64,27 @@ def _stretches(points: Array) -> list[slice]:
     return [slice(first, last) for first, last in pairwise(bounds)]
 
 
-MAX_FREE = 200
-"""Maximum number of free values of a track along either axis."""
+MAX_FREE = 200  # Maximum number of free values of a track along either axis
 
 MAX_PARTS = 3
 """Maximum number of parts of an interval between points, at whose ends a track is free."""
 
-SAMPLES_PER_PART = 4
-"""Number of samples of each part."""
+SAMPLES_PER_PART = 4  # Number of samples of each part
 
 EXPONENTS = (6.0, 12.0, 24.0, 48.0)
 """Exponents of stretches whose sum is minimised, each from the last one's track: the larger, the
 closer to the largest stretch."""
 
-MAX_STEPS = 8
-"""Maximum number of Newton steps for an exponent."""
+MAX_STEPS = 8  # Maximum number of Newton steps for an exponent
 
 EASED = 0.99
 """Largest stretch at samples at which a track is eased enough; enclosures need about 0.001."""
 
-MIN_GAIN = 1e-3
-"""Relative decrease of the sum in a step, below which the next exponent follows."""
-
-MIN_STEP = 1e-3
-"""Smallest share of a Newton step that is tried."""
-
-SMALL_WEIGHT = 1e-9
-"""Weight of a row relative to the largest one, below which it is left out."""
-
-DIFFERENCE = 1e-5
-"""Change of a jet of the vertex for difference quotients of the drones' jets."""
-
-DAMPING = 1e-10
-"""Damping of Newton's matrix, relative to its diagonal."""
+MIN_GAIN = 1e-3  # Relative decrease of the sum in a step, below which the next exponent follows
+MIN_STEP = 1e-3  # Smallest share of a Newton step that is tried
+SMALL_WEIGHT = 1e-9  # Weight of a row relative to the largest one, below which it is left out
+DIFFERENCE = 1e-5  # Change of a jet of the vertex for difference quotients of the drones' jets
+DAMPING = 1e-10  # Damping of Newton's matrix, relative to its diagonal
 
 
 def eased(path: Path, limits: Limits, seconds: float) -> Path:
@@ -142,11 +129,9 @@ def eased(path: Path, limits: Limits, seconds: float) -> Path:
 class _FreeTrack(NamedTuple):
     """A track that is refined by values between its points, and the splines of these values."""
 
-    fixed: PiecewisePolynomial
-    """(points, 3) over s [m], all vertices, on the refined breaks."""
-
+    fixed: PiecewisePolynomial  # (points, 3) over s [m], all vertices, on the refined breaks
+    # (values,) over s: 1 at one of the places between the points, and 0 at all others
     free: PiecewisePolynomial
-    """(values,) over s: 1 at one of the places between the points, and 0 at all others."""
 
     @classmethod
     def of(cls, vertices: PiecewisePolynomial, vertex: int) -> _FreeTrack:
@@ -184,21 +169,16 @@ class _FreeTrack(NamedTuple):
         return self.fixed.replaced(coefficients)
 
 
-ORDERS = np.arange(1, 4)
-"""Orders of the derivatives that have limits."""
+ORDERS = np.arange(1, 4)  # Orders of the derivatives that have limits
 
 
 class _Rates(NamedTuple):
     """Rates of points along a track."""
 
-    values: Array
-    """(values, 2) [m]: changes of the track between its points."""
-
-    vertices: Array
-    """(J, points, 3, 4): jets of all vertices in s, at J samples."""
-
+    values: Array  # (values, 2) [m]: changes of the track between its points
+    vertices: Array  # (J, points, 3, 4): jets of all vertices in s, at J samples
+    # (J, movers, 3, 3): derivatives of orders 1 to 3 over their limits, of drones and vertex
     ratios: Array
-    """(J, movers, 3, 3): derivatives of orders 1 to 3 over their limits, of drones and vertex."""
 
     @property
     def stretch(self) -> float:
@@ -216,23 +196,12 @@ class _Rates(NamedTuple):
 class _EasedTrack:
     """The program of ``eased``."""
 
-    path: Path
-    """The path with the track as it is."""
-
-    vertex: int
-    """Index of the vertex."""
-
-    s: Array
-    """(J,): samples of the path."""
-
-    jets: Array
-    """(J, points, 3, 4): jets of the vertices of the track as it is."""
-
-    free: Array
-    """(J, values, 4): jets of the splines of the free values."""
-
-    limits: Array
-    """(movers, 3): limits of derivatives by s; infinite without one."""
+    path: Path  # The path with the track as it is
+    vertex: int  # Index of the vertex
+    s: Array  # (J,): samples of the path
+    jets: Array  # (J, points, 3, 4): jets of the vertices of the track as it is
+    free: Array  # (J, values, 4): jets of the splines of the free values
+    limits: Array  # (movers, 3): limits of derivatives by s; infinite without one
 
     @classmethod
     def of(

@@ -40,24 +40,16 @@ OUTPUTS = (
 RATES = ("vertex_velocities", "vertex_accelerations")
 """Inputs of ``ho.model`` that a cost may use, besides vertices, q-legs and tensions."""
 
-MOTION_JET = 3
-"""Number of derivatives of flat outputs on which a cost depends, with the value."""
-
-COST_SAMPLES = 65
-"""Number of samples of a path by which the integral of its cost is computed."""
+MOTION_JET = 3  # Number of derivatives of flat outputs on which a cost depends, with the value
+COST_SAMPLES = 65  # Number of samples of a path by which the integral of its cost is computed
 
 
 class Expansion(NamedTuple):
     """Second-order expansions of a cost around J shapes (J, 4n)."""
 
-    values: Array
-    """(J,) [s]"""
-
-    gradients: Array
-    """(J, 4n), or by other variables"""
-
-    hessians: Array
-    """(J, 4n, 4n)"""
+    values: Array  # (J,) [s]
+    gradients: Array  # (J, 4n), or by other variables
+    hessians: Array  # (J, 4n, 4n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +61,8 @@ class FlightCost:
     the hitch.
     """
 
-    team: Team
-    """The team of the hitch."""
-
-    function: CostFunction
-    """Function of the model's outputs by name, and of s."""
+    team: Team  # The team of the hitch
+    function: CostFunction  # Function of the model's outputs by name, and of s
 
     def __post_init__(self) -> None:
         if not callable(self.function):

@@ -30,62 +30,36 @@ from hitchopt.trajectory.piecewise import summed
 from hitchopt.trajectory.splines import bspline, evenly_interpolated
 from hitchopt.values import Array
 
-PIECES = 5
-"""Number of pieces of the splines that are added to the flat outputs."""
-
-NODES = 2
-"""Number of Gauss nodes in each piece of the clock, at which limits of motion have rows."""
-
-SHAPE_SAMPLES = 97
-"""Number of s at which distances, legs and angles have rows."""
-
-LEG_SAMPLES = 129
-"""Number of even s through which q-legs of a route become a spline, within 1e-8 m."""
-
-MARGIN = 1.006
-"""Enforced distances over their limits; with 1.003 some flights were not certified."""
+PIECES = 5  # Number of pieces of the splines that are added to the flat outputs
+NODES = 2  # Number of Gauss nodes in each piece of the clock, at which limits of motion have rows
+SHAPE_SAMPLES = 97  # Number of s at which distances, legs and angles have rows
+LEG_SAMPLES = 129  # Number of even s through which q-legs of a route become a spline, within 1e-8 m
+MARGIN = 1.006  # Enforced distances over their limits; with 1.003 some flights were not certified.
 
 SHORTFALL_MARGIN = 1.0 + (MARGIN - 1.0) / 3.0
 """Distances over their limits below which they are too short."""
 
-PENALTY = 10.0
-"""[s/m] Penalty of distances that are too short, which the next step restores."""
+PENALTY = 10.0  # [s/m] Penalty of distances that are too short, which the next step restores
 
 
 class Step(NamedTuple):
     """Changes of all coefficients of a flight."""
 
-    splines: Array
-    """(coefficients of splines,)"""
-
-    rate: Array
-    """(coefficients of x,)"""
-
-    gain: float
-    """[s] Expected gain of duration and cost."""
+    splines: Array  #: (coefficients of splines,)
+    rate: Array  #: (coefficients of x,)
+    gain: float  #: [s] Expected gain of duration and cost
 
 
 @dataclass(frozen=True, eq=False)
 class Flight:
     """A path with its fastest clock."""
 
-    path: Path
-    """The path; its q-legs are splines."""
-
-    motion: Motion
-    """Its motion by the clock, which may exceed limits between the clock's samples."""
-
-    clock: Clock
-    """Its clock."""
-
-    requirements: Requirements
-    """Requirements of all flights."""
-
-    tension: tuple[float, float] | None
-    """[N] Range of tensions, or None."""
-
-    custom_cost: FlightCost | None = None
-    """Custom cost, which is added to the duration."""
+    path: Path  #: The path; its q-legs are splines
+    motion: Motion  #: Its motion by the clock, which may exceed limits between the clock's samples
+    clock: Clock  #: Its clock
+    requirements: Requirements  #: Requirements of all flights
+    tension: tuple[float, float] | None  #: [N] Range of tensions, or None
+    custom_cost: FlightCost | None = None  #: Custom cost, which is added to the duration
 
     @classmethod
     def along(

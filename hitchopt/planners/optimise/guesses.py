@@ -29,41 +29,27 @@ from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import KnotPath
 from hitchopt.values import Array
 
-STRAIGHT = "straight"
-"""Name of the guess on straight lines."""
-
-WIDENED = "widened"
-"""Name of the guess on the same lines, widened halfway."""
+STRAIGHT = "straight"  # Name of the guess on straight lines
+WIDENED = "widened"  # Name of the guess on the same lines, widened halfway
 
 MIN_OTHER_TURN = 0.75 * math.pi
 """[rad] Smallest turn for which the opposite turn is a guess as well."""
 
-MIN_EDGE_SHARE = 0.3
-"""Smallest edge of a guess whose edges turn, over the shorter of both ends."""
+MIN_EDGE_SHARE = 0.3  # Smallest edge of a guess whose edges turn, over the shorter of both ends
 
 WIDENING = 1.4
 """Scale of the outline halfway on a widened path, on which legs pass the tips of stars."""
 
-MIN_SHAPE_SHARE = 0.1
-"""Smallest exterior angle and edge of a guess, over those at its ends."""
-
-MAX_MARGIN = 1.1
-"""Largest margin of distances that is computed."""
+MIN_SHAPE_SHARE = 0.1  # Smallest exterior angle and edge of a guess, over those at its ends
+MAX_MARGIN = 1.1  # Largest margin of distances that is computed
 
 ROLLS = tuple(math.radians(angle) for angle in (0.0, 15.0, 30.0, 45.0))
 """[rad] Rolls of all legs midway; 0 keeps the linear roll between the ends."""
 
-ROLLED_STEPS = 16
-"""Number of steps between the knots of a guess that rolls, which resolve its rise."""
-
-ROLL_RAMP = 0.25
-"""Fraction of the path in which the roll of a guess rises, and in which it sinks."""
-
-ROLL_COST = 0.3
-"""[1/rad] Penalty of the roll of a guess, in units of its margin."""
-
-TURN_COST = 0.3
-"""[1/rad] Penalty of the turns of a guess, in units of its margin."""
+ROLLED_STEPS = 16  # Number of steps between the knots of a guess that rolls, which resolve its rise
+ROLL_RAMP = 0.25  # Fraction of the path in which the roll of a guess rises, and in which it sinks
+ROLL_COST = 0.3  # [1/rad] Penalty of the roll of a guess, in units of its margin
+TURN_COST = 0.3  # [1/rad] Penalty of the turns of a guess, in units of its margin
 
 EVENNESS = (0.0, 1.0)
 """Changes of fractions of legs midway toward equal ones, over the whole change."""

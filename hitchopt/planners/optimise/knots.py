@@ -37,20 +37,11 @@ trajectory need not end at knots."""
 class Columns:
     """The columns of a table (knots, size): flat outputs, and drones and r-legs that follow."""
 
-    vertices: Indices
-    """(n, 2): x and y of vertices."""
-
-    q_legs: Indices
-    """(n,): lengths of q-legs."""
-
-    r_legs: Indices
-    """(n,): lengths of r-legs."""
-
-    drones: Indices
-    """(2n, 2): x and y of drones."""
-
-    tensions: Indices
-    """(n,): tensions of cables."""
+    vertices: Indices  # (n, 2): x and y of vertices
+    q_legs: Indices  # (n,): lengths of q-legs
+    r_legs: Indices  # (n,): lengths of r-legs
+    drones: Indices  # (2n, 2): x and y of drones
+    tensions: Indices  # (n,): tensions of cables
 
     @property
     def size(self) -> int:
@@ -80,26 +71,13 @@ def columns_of(robots: int) -> Columns:
 class KnotPath:
     """A hitch at J + 1 knots, evenly spaced in the path's parameter."""
 
-    name: str
-    """Name of the initial guess."""
-
-    team: Team
-    """The team of the hitch."""
-
-    altitude: float
-    """[m] Altitude of the hitch's plane."""
-
-    polygons: Array
-    """(J + 1, n, 2) [m]: vertices in plan view."""
-
-    q_legs: Array
-    """(J + 1, n) [m]: lengths of q-legs."""
-
-    tensions: Array
-    """(J + 1, n) [N]: tensions of cables."""
-
-    roll: Array | None = None
-    """(J + 1, clasps) [rad]: roll of legs, or None."""
+    name: str  # Name of the initial guess
+    team: Team  # The team of the hitch
+    altitude: float  # [m] Altitude of the hitch's plane
+    polygons: Array  # (J + 1, n, 2) [m]: vertices in plan view
+    q_legs: Array  # (J + 1, n) [m]: lengths of q-legs
+    tensions: Array  # (J + 1, n) [N]: tensions of cables
+    roll: Array | None = None  # (J + 1, clasps) [rad]: roll of legs, or None
 
     @classmethod
     def through(cls, name: str, start: Hitch, end: Hitch, polygons: Array) -> KnotPath:
@@ -220,8 +198,7 @@ def _knot_spline(values: Array) -> PiecewisePolynomial:
     return evenly_interpolated(values, SPLINE_DEGREE)
 
 
-KNOT_MARGIN = 5e-3
-"""[m] Margin of walls and shortest legs at knots, for the spline between."""
+KNOT_MARGIN = 5e-3  # [m] Margin of walls and shortest legs at knots, for the spline between
 
 COST_LEG_MARGIN = 0.025
 """[m] The same margin of legs with a custom cost, which bends paths more: splines between
@@ -230,11 +207,8 @@ knots fell up to 0.022 m short."""
 TENSION_MARGIN = 0.02
 """Margin at both ends of a range of tensions, over the range, for the same reason."""
 
-STATIC_SHARE = 0.97
-"""Largest fraction of thrust and tilt at rest, with a reserve for motion."""
-
-MIN_MARGIN_RESERVE = 1e-9
-"""Smallest reserve of a margin over 1 by which others are divided."""
+STATIC_SHARE = 0.97  # Largest fraction of thrust and tilt at rest, with a reserve for motion
+MIN_MARGIN_RESERVE = 1e-9  # Smallest reserve of a margin over 1 by which others are divided
 
 MARGIN_RAMP = 2.0
 """Number of knots over which the margin changes from that of an end, since a jump would bend the
@@ -248,14 +222,10 @@ Judge = Callable[[Path], Motion | None]
 class SolverStep:
     """Parameters of a step of the optimiser."""
 
-    stride: float
-    """[m] Trust radius of coordinates of vertices and drones."""
-
+    stride: float  # [m] Trust radius of coordinates of vertices and drones
+    # Number of parts of every step between knots, at whose ends distances are enforced
     parts: int = 1
-    """Number of parts of every step between knots, at whose ends distances are enforced."""
-
-    fastest: bool = False
-    """True to minimise time instead of energy."""
+    fastest: bool = False  # True to minimise time instead of energy
 
     @property
     def reach(self) -> float:
@@ -269,11 +239,8 @@ class QuadraticTerms(NamedTuple):
     They are the inner rows of a path's table, or the coefficients of splines.
     """
 
-    hessian: sp.csr_array[np.float64]
-    """(variables, variables), of which the symmetric part is used."""
-
-    gradient: Array
-    """(variables,)"""
+    hessian: sp.csr_array[np.float64]  # (variables, variables), of which the symmetric part is used
+    gradient: Array  # (variables,)
 
     def plus(self, other: QuadraticTerms) -> QuadraticTerms:
         """Return the sum of two functions."""
@@ -295,29 +262,16 @@ class PathCost(Protocol):
 class SearchLimits:
     """Constraints of all paths of one search."""
 
-    requirements: Requirements
-    """Requirements of the problem."""
-
-    judge: Judge
-    """Accepts or rejects paths."""
-
+    requirements: Requirements  # Requirements of the problem
+    judge: Judge  # Accepts or rejects paths
+    # [N] Smallest and largest one of variable tensions, or None
     tension: tuple[float, float] | None
-    """[N] Smallest and largest one of variable tensions, or None."""
-
-    end_margins: tuple[float, float]
-    """Margins of distances of the first and the last hitch."""
-
-    margin: float = 1.02
-    """Enforced margin of distances at the knots."""
-
-    effort: Effort = field(default_factory=Effort)
-    """Effort of all programs of the search."""
-
+    end_margins: tuple[float, float]  # Margins of distances of the first and the last hitch
+    margin: float = 1.02  # Enforced margin of distances at the knots
+    effort: Effort = field(default_factory=Effort)  # Effort of all programs of the search
+    # Refined paths that break a limit, for the diagnosis
     rejected: list[KnotPath] = field(default_factory=list)
-    """Refined paths that break a limit, for the diagnosis."""
-
-    cost: PathCost | None = None
-    """Custom cost, to be minimised with the duration."""
+    cost: PathCost | None = None  # Custom cost, to be minimised with the duration
 
     def cost_of(self, path: Path, duration: float) -> float:
         """Return an estimate of the cost of a flight along a path [s]; 0 without a cost."""

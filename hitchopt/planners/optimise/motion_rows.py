@@ -33,25 +33,17 @@ from hitchopt.planners.timing.timed_motion import clocked_limits
 from hitchopt.trajectory.splines import knots_through
 from hitchopt.values import Array, Indices
 
-RATE_DEGREE = 3
-"""Degree of the spline x."""
+RATE_DEGREE = 3  # Degree of the spline x
 
 
 @dataclass(frozen=True, eq=False)
 class ClockSamples:
     """M samples of a flight, the Gauss nodes of its clock τ, by which derivatives are."""
 
-    path: Path
-    """The path of the flight."""
-
-    clock: Clock
-    """Its clock, of which x may have been changed."""
-
-    splines: PathSplines
-    """The splines that are added to the path."""
-
-    nodes: int
-    """Number of nodes in each piece of the clock."""
+    path: Path  # The path of the flight
+    clock: Clock  # Its clock, of which x may have been changed
+    splines: PathSplines  # The splines that are added to the path
+    nodes: int  # Number of nodes in each piece of the clock
 
     @cached_property
     def tau(self) -> Array:
@@ -132,22 +124,16 @@ class ClockSamples:
 class Ratios(NamedTuple):
     """Limits of motion over their limits at M samples."""
 
-    drones: Array
-    """(5, M, 2n), in the order of DRONE_LIMITS."""
-
-    vertices: Array
-    """(M, points): speeds of points."""
+    drones: Array  # (5, M, 2n), in the order of DRONE_LIMITS
+    vertices: Array  # (M, points): speeds of points
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenRows:
     """Limits of motion that have rows."""
 
-    drones: NDArray[np.bool_]
-    """(5, M, 2n), in the order of DRONE_LIMITS."""
-
-    vertices: NDArray[np.bool_]
-    """(M, points)"""
+    drones: NDArray[np.bool_]  # (5, M, 2n), in the order of DRONE_LIMITS
+    vertices: NDArray[np.bool_]  # (M, points)
 
     @classmethod
     def near(cls, ratios: Ratios, share: float) -> ChosenRows:
@@ -182,27 +168,18 @@ class ChosenRows:
 class RowsOfLimit(NamedTuple):
     """Rows of one limit of the parts of a group."""
 
-    limit: Limit
-    """The limit."""
-
-    side: int
-    """Which drone of a part it limits."""
-
-    sample: Indices
-    """(rows,): samples."""
-
-    part: Indices
-    """(rows,): parts."""
+    limit: Limit  # The limit
+    side: int  # Which drone of a part it limits
+    sample: Indices  # (rows,): samples
+    part: Indices  # (rows,): parts
 
 
 class LimitBlock(NamedTuple):
     """Rows of limits of motion."""
 
+    # (rows, variables): derivatives by the splines' coefficients, then by those of x
     rows: sp.csr_array[np.float64]
-    """(rows, variables): derivatives by the splines' coefficients, then by those of x."""
-
-    values: Array
-    """(rows,): values over the limits."""
+    values: Array  # (rows,): values over the limits
 
     @property
     def largest(self) -> Array:
@@ -220,11 +197,8 @@ class LimitBlock(NamedTuple):
 class MotionLimits:
     """Limits of motion at the samples of a flight."""
 
-    samples: ClockSamples
-    """The samples."""
-
-    requirements: Requirements
-    """Requirements of all flights."""
+    samples: ClockSamples  # The samples
+    requirements: Requirements  # Requirements of all flights
 
     @cached_property
     def functions(self) -> list[PartFunctions]:

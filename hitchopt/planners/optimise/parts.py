@@ -31,14 +31,9 @@ from hitchopt.values import Array, Indices
 if TYPE_CHECKING:
     import casadi as ca
 
-SMOOTHING = 1e-6
-"""Added to squares in norms, which are then smooth at zero."""
-
-CLOCK_JET = 3
-"""Number of derivatives of the squared rate x, with its value."""
-
-BATCH = 64
-"""Number of parts that are evaluated at once."""
+SMOOTHING = 1e-6  # Added to squares in norms, which are then smooth at zero
+CLOCK_JET = 3  # Number of derivatives of the squared rate x, with its value
+BATCH = 64  # Number of parts that are evaluated at once
 
 
 class Limit(Enum):
@@ -60,29 +55,14 @@ DRONE_LIMITS = (Limit.SPEED, Limit.ACCELERATION, Limit.JERK, Limit.THRUST, Limit
 class PartKind:
     """What the function of a part depends on besides numbers."""
 
-    weighted: bool
-    """Whether cables have weight."""
-
-    loaded: bool
-    """Whether weights hang on clasps."""
-
-    rolled: bool
-    """Whether legs roll."""
-
-    equal: bool
-    """Whether all tensions are equal and constant."""
-
-    climbs: bool
-    """Whether heights of points change."""
-
-    varying: bool
-    """Whether tensions are unknowns."""
-
-    last: bool = False
-    """Whether the cable ahead ends a chain."""
-
-    chain_end: bool = False
-    """Whether the part is the drone at an end of a chain, at its point."""
+    weighted: bool  # Whether cables have weight
+    loaded: bool  # Whether weights hang on clasps
+    rolled: bool  # Whether legs roll
+    equal: bool  # Whether all tensions are equal and constant
+    climbs: bool  # Whether heights of points change
+    varying: bool  # Whether tensions are unknowns
+    last: bool = False  # Whether the cable ahead ends a chain
+    chain_end: bool = False  # Whether the part is the drone at an end of a chain, at its point
 
     @property
     def points(self) -> int:
@@ -285,14 +265,9 @@ class Batched:
 class Columns:
     """Unknowns of a path: the coordinates of points, q-legs, roll and tensions, as far as free."""
 
-    team: Team
-    """The team of the hitch."""
-
-    rolled: bool
-    """Whether legs roll."""
-
-    varying: bool
-    """Whether tensions vary."""
+    team: Team  # The team of the hitch
+    rolled: bool  # Whether legs roll
+    varying: bool  # Whether tensions vary
 
     @property
     def points(self) -> Indices:
@@ -335,23 +310,12 @@ class Columns:
 class Group:
     """All parts of one kind."""
 
-    kind: PartKind
-    """What their function depends on."""
-
-    columns: Indices
-    """(parts, size): their unknowns."""
-
-    points: Indices
-    """(parts, 2 or 3): points whose heights they depend on."""
-
-    vertices: Indices
-    """(parts,): their own points."""
-
-    drones: Indices
-    """(parts, sides): their drones."""
-
-    constants: Array
-    """(parts, rows): constants of the function."""
+    kind: PartKind  # What their function depends on
+    columns: Indices  # (parts, size): their unknowns
+    points: Indices  # (parts, 2 or 3): points whose heights they depend on
+    vertices: Indices  # (parts,): their own points
+    drones: Indices  # (parts, sides): their drones
+    constants: Array  # (parts, rows): constants of the function
 
     def of_kind(self, kind: PartKind, chosen: Indices) -> Group:
         """Return chosen parts (parts,) as a group of another kind."""
@@ -438,31 +402,19 @@ def _chain_ends(columns: Columns, kind: PartKind) -> Group:
 class LimitSlopes(NamedTuple):
     """Values of limits of parts over the limits, and their derivatives."""
 
-    ratio: Array
-    """(rows,)"""
-
-    by_unknowns: Array
-    """(rows, 4, size): by jets of the part's unknowns by τ."""
-
-    by_clock: Array
-    """(rows, 3): by x and its derivatives by τ."""
+    ratio: Array  # (rows,)
+    by_unknowns: Array  # (rows, 4, size): by jets of the part's unknowns by τ
+    by_clock: Array  # (rows, 3): by x and its derivatives by τ
 
 
 @dataclass(frozen=True, eq=False)
 class PartFunctions:
     """The functions of a group of parts, with buffers."""
 
-    group: Group
-    """The parts."""
-
-    limits: Limits
-    """Limits of motion."""
-
-    tilt: float
-    """[rad] Enforced limit of tilt."""
-
-    max_thrust: Array
-    """(2n,) [N]"""
+    group: Group  # The parts
+    limits: Limits  # Limits of motion
+    tilt: float  # [rad] Enforced limit of tilt
+    max_thrust: Array  # (2n,) [N]
 
     @cached_property
     def _functions(self) -> dict[tuple[Limit, int], Batched]:

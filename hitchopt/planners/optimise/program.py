@@ -62,35 +62,24 @@ class ProgramTuning:
     """[s] Weight of the second differences relative to the time, times the path's time at the speed
     limits: bends cost more of a short flight, whose accelerations bound it."""
 
+    # Weight of the energy relative to the time, which makes the solution unique
     time_energy_weight: float = 1e-3
-    """Weight of the energy relative to the time, which makes the solution unique."""
-
+    # Weight of the squares of variable tensions, which leaves thrust for motion
     tension_weight: float = 0.02
-    """Weight of the squares of variable tensions, which leaves thrust for motion."""
-
+    # Weight of the tensions' differences relative to their squares
     tension_change_weight: float = 0.01
-    """Weight of the tensions' differences relative to their squares."""
-
-    max_time_saved: float = 0.3
-    """Largest decrease of a step's time in one program, over that time."""
-
+    max_time_saved: float = 0.3  # Largest decrease of a step's time in one program, over that time
+    # [rad] Smallest exterior angle on the path, or half of that at its ends if that is less
     min_angle: float = math.radians(3.0)
-    """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
-
+    # [1/m] Penalty weight of violated rows, which exceeds any gain by violating them
     penalty_weight: float = 100.0
-    """[1/m] Penalty weight of violated rows, which exceeds any gain by violating them."""
-
-    slack_scale: float = 0.01
-    """Unit of slacks, in strides, which scales the program."""
-
+    slack_scale: float = 0.01  # Unit of slacks, in strides, which scales the program
+    # Fraction of a step's reach up to which pairs have rows between the knots
     between_knots_share: float = 0.2
-    """Fraction of a step's reach up to which pairs have rows between the knots."""
-
+    # Distance to its bound, in strides, below which a row is enforced at first
     near_range: float = 0.5
-    """Distance to its bound, in strides, below which a row is enforced at first."""
-
+    # Distance to its bound, in strides, below which a row is added together with violated rows
     added_range: float = 0.1
-    """Distance to its bound, in strides, below which a row is added together with violated rows."""
 
 
 TUNING = ProgramTuning()
@@ -139,18 +128,13 @@ class MorphProgram:
     violates.
     """
 
-    path: KnotPath
-    """The current path."""
-
-    stride: float
-    """[m] Trust radius of coordinates, the unit of changes."""
-
+    path: KnotPath  # The current path
+    stride: float  # [m] Trust radius of coordinates, the unit of changes
     tangent: sp.csr_array[np.float64]
     """(inner knots · size, changes): changes of the table's inner rows caused by those of the free
     columns."""
 
-    program: QuadraticProgram
-    """The program; its solution has the units of the variables."""
+    program: QuadraticProgram  # The program; its solution has the units of the variables
 
     def solve(self, effort: Effort) -> KnotPath | None:
         """Return the path of the solution, or None without one; drones follow by the model.
@@ -184,17 +168,11 @@ class MorphProgram:
 class RowBlock:
     """Rows of the program with bounds of their values; they are 0 on the current path."""
 
-    by_changes: sp.csr_array[np.float64]
-    """(rows, changes)"""
-
-    lower: Array
-    """(rows,)"""
-
-    upper: Array
-    """(rows,)"""
-
+    by_changes: sp.csr_array[np.float64]  # (rows, changes)
+    lower: Array  # (rows,)
+    upper: Array  # (rows,)
+    # Entries of the steps' times; None if the rows do not depend on them
     by_times: TimeEntries | None = None
-    """Entries of the steps' times; None if the rows do not depend on them."""
 
 
 def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> MorphProgram:
@@ -306,14 +284,10 @@ def _assembled(
 class Linearisation(NamedTuple):
     """Derivatives by the changes of the free columns at the inner knots."""
 
+    # (inner knots · size, changes): derivatives of the table's inner rows
     tangent: sp.csr_array[np.float64]
-    """(inner knots · size, changes): derivatives of the table's inner rows."""
-
-    turn_slopes: sp.csr_array[np.float64]
-    """(inner knots · n, changes): derivatives of ``turns``."""
-
-    turns: Array
-    """(inner knots · n,): sines of exterior angles."""
+    turn_slopes: sp.csr_array[np.float64]  # (inner knots · n, changes): derivatives of ``turns``
+    turns: Array  # (inner knots · n,): sines of exterior angles
 
 
 def _linearised(path: KnotPath, *, free_tensions: bool) -> Linearisation:
@@ -377,8 +351,7 @@ def _linearised(path: KnotPath, *, free_tensions: bool) -> Linearisation:
     return Linearisation(slopes[:inner_size], slopes[inner_size:], turns)
 
 
-PLAN_VIEW = [0, 1, 3, 4, 6, 7]
-"""Rows of the plan view in the coordinates of three points."""
+PLAN_VIEW = [0, 1, 3, 4, 6, 7]  # Rows of the plan view in the coordinates of three points
 
 
 @lru_cache
@@ -414,17 +387,10 @@ def _slopes_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool)
 class ClaspColumns(NamedTuple):
     """Columns of the table that the model of a clasp takes and returns, by clasps."""
 
-    points: Indices
-    """(n, 6): the previous vertex, the clasp's and the next one in plan view."""
-
-    q_legs: Indices
-    """(n, 2), of the cables behind and ahead."""
-
-    tensions: Indices
-    """(n, 2), of the cables behind and ahead."""
-
-    results: Indices
-    """(n, 5): drones r_{k-1} and q_k in plan view, and e_{k-1}."""
+    points: Indices  # (n, 6): the previous vertex, the clasp's and the next one in plan view
+    q_legs: Indices  # (n, 2), of the cables behind and ahead
+    tensions: Indices  # (n, 2), of the cables behind and ahead
+    results: Indices  # (n, 5): drones r_{k-1} and q_k in plan view, and e_{k-1}
 
     @classmethod
     def of(cls, path: KnotPath) -> ClaspColumns:
@@ -509,29 +475,19 @@ def _blockwise(matrix: Array, weights: Array) -> sp.csr_array[np.float64]:
 class NearPairs(NamedTuple):
     """Pairs of close bodies, each in one of K frames."""
 
-    frame: Indices
-    """(m,): index of the frame."""
-
-    first: Indices
-    """(m, 2): nodes at the ends of the first body; a drone's are the same."""
-
-    second: Indices
-    """(m, 2): those of the second body."""
-
-    kind: Indices
-    """(m,), as in ``hitch.pairs``."""
-
+    frame: Indices  # (m,): index of the frame
+    first: Indices  # (m, 2): nodes at the ends of the first body; a drone's are the same
+    second: Indices  # (m, 2): those of the second body
+    kind: Indices  # (m,), as in ``hitch.pairs``.
     gradient: Array
     """(m, 3): derivative of the distance with respect to the first body's position.
 
     It is the unit normal along the shortest offset from the second body, with heights scaled."""
 
-    enforced: Array
-    """(m,) [m]: enforced distance."""
+    enforced: Array  # (m,) [m]: enforced distance
 
 
-MIN_OFFSET = 1e-6
-"""[m] Smallest offset of two bodies whose direction is their normal."""
+MIN_OFFSET = 1e-6  # [m] Smallest offset of two bodies whose direction is their normal
 
 
 def near_pairs(

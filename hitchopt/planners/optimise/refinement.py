@@ -35,45 +35,26 @@ T = TypeVar("T")
 class RefinementTuning:
     """Numbers of the refinement; ``python -m benchmarks morphs`` shows their effect."""
 
-    max_steps: int = 16
-    """Maximum number of programs that are linearised anew."""
-
+    max_steps: int = 16  # Maximum number of programs that are linearised anew
+    # Number of consecutive steps without ``min_gain`` after which refinement ends
     max_stalled: int = 3
-    """Number of consecutive steps without ``min_gain`` after which refinement ends."""
-
+    # Gain over the duration, expected or reached, that is too small to go on
     min_gain: float = 1e-3
-    """Gain over the duration, expected or reached, that is too small to go on."""
-
-    min_shorter: float = 1e-4
-    """Gain over the duration below which a flight is not replaced."""
-
-    stride: float = 0.03
-    """[m] First trust radius of the splines' coefficients."""
-
-    min_stride: float = 0.004
-    """[m] Trust radius below which refinement ends."""
-
-    max_stride: float = 0.12
-    """[m] Largest trust radius."""
-
-    rejected_factor: float = 0.35
-    """Factor of the trust radius after a step that is not accepted."""
-
-    max_shortfall: float = 5e-4
-    """[m] Largest shortfall at samples of a flight that the judge sees."""
-
+    min_shorter: float = 1e-4  # Gain over the duration below which a flight is not replaced
+    stride: float = 0.03  # [m] First trust radius of the splines' coefficients
+    min_stride: float = 0.004  # [m] Trust radius below which refinement ends
+    max_stride: float = 0.12  # [m] Largest trust radius
+    rejected_factor: float = 0.35  # Factor of the trust radius after a step that is not accepted
+    max_shortfall: float = 5e-4  # [m] Largest shortfall at samples of a flight that the judge sees
+    # Effort per robot of timing a route, and of one judgement, in the unit of ``Effort``
     flight_cost: float = 40.0
-    """Effort per robot of timing a route, and of one judgement, in the unit of ``Effort``."""
-
-    max_effort: float = 1.2e4
-    """Limit of the effort: about 3 s."""
+    max_effort: float = 1.2e4  # Limit of the effort: about 3 s
 
 
 TUNING = RefinementTuning()
 
 
-ACCEPTED = 0.05
-"""Gain over the expected one above which a step is accepted."""
+ACCEPTED = 0.05  # Gain over the expected one above which a step is accepted
 
 STRIDE_FACTORS = ((0.7, 1.6), (0.3, 1.0), (ACCEPTED, 0.5))
 """Gains over expected ones, and factors of the trust radius above them."""
@@ -86,11 +67,8 @@ Certify = Callable[[Path, Motion], T | None]
 class Refined(NamedTuple, Generic[T]):
     """A refined flight."""
 
-    certified: T
-    """What the judge made of it."""
-
-    cost: float
-    """[s] Its custom cost."""
+    certified: T  # What the judge made of it
+    cost: float  # [s] Its custom cost
 
 
 def refined(
@@ -145,14 +123,9 @@ def flight_cost(path: Path, motion: Motion, cost: FlightCost) -> float:
 class Flown(NamedTuple):
     """A flight within its limits, which may be returned."""
 
-    path: Path
-    """Its path."""
-
-    motion: Motion
-    """Its motion."""
-
-    cost: float
-    """[s] Its custom cost."""
+    path: Path  # Its path
+    motion: Motion  # Its motion
+    cost: float  # [s] Its custom cost
 
     @property
     def objective(self) -> float:

@@ -48,11 +48,8 @@ from hitchopt.values import Array
 class Refinement(NamedTuple):
     """A round of refinement."""
 
-    steps_factor: int
-    """Number of steps between knots, over that of the path of minimum energy."""
-
-    margin: float
-    """Enforced distances over their limits."""
+    steps_factor: int  # Number of steps between knots, over that of the path of minimum energy
+    margin: float  # Enforced distances over their limits
 
 
 REFINEMENTS = (
@@ -66,34 +63,22 @@ REFINEMENTS = (
 class SearchTuning:
     """Numbers of the search; ``python -m benchmarks morphs`` shows their effect."""
 
+    # Number of parts of every step, at whose ends refinement enforces distances
     refined_parts: int = 8
-    """Number of parts of every step, at whose ends refinement enforces distances."""
-
-    refined_stride: float = 0.12
-    """[m] Stride of the optimiser in refinement."""
-
-    min_stride: float = 0.02
-    """[m] Stride below which a feasible path is not shortened further."""
-
-    max_initial_steps: int = 12
-    """Maximum number of steps from a guess."""
-
+    refined_stride: float = 0.12  # [m] Stride of the optimiser in refinement
+    min_stride: float = 0.02  # [m] Stride below which a feasible path is not shortened further
+    max_initial_steps: int = 12  # Maximum number of steps from a guess
+    # Maximum number of steps to a feasible path in a round of refinement
     max_refined_steps: int = 5
-    """Maximum number of steps to a feasible path in a round of refinement."""
-
     hopeful_margin: float = 0.8
     """Margin of distances below which refinement goes on only while every step gains enough. Of 13
     pairs all refinements that succeeded had more after the second step, or gained 0.2 a step."""
 
+    # Smallest gain of margin in a step with which such a refinement goes on
     min_margin_gain: float = 0.03
-    """Smallest gain of margin in a step with which such a refinement goes on."""
-
-    max_fastest_steps: int = 12
-    """Maximum number of steps from a feasible path to faster ones."""
-
+    max_fastest_steps: int = 12  # Maximum number of steps from a feasible path to faster ones
+    # Maximum number of steps from a feasible path to better ones by a custom cost
     max_cost_steps: int = 36
-    """Maximum number of steps from a feasible path to better ones by a custom cost."""
-
     max_judged: int = 4
     """Maximum number of faster paths that are judged. They are feasible at samples, but distances
     between samples may fall short by a thousandth."""
@@ -102,19 +87,14 @@ class SearchTuning:
     """Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
     robots of regular polygons move alike up to saddle points, since all rows are linear."""
 
+    # Smallest motion of vertices in a step over its stride, below which refinement ends
     min_refined_progress: float = 0.05
-    """Smallest motion of vertices in a step over its stride, below which refinement ends."""
-
     knot_distance: float = 0.9
     """[m] Largest length of a vertex's path between two knots, within the bounds of their number.
     """
 
-    min_steps: int = 8
-    """Minimum number of steps between the knots of a guess."""
-
-    max_steps: int = 16
-    """Maximum number of steps between the knots of a guess."""
-
+    min_steps: int = 8  # Minimum number of steps between the knots of a guess
+    max_steps: int = 16  # Maximum number of steps between the knots of a guess
     max_guess_ratio: float = 1.3
     """Largest estimated duration of a guess that is optimised, over that of the fastest motion so
     far."""
@@ -131,9 +111,8 @@ class SearchTuning:
     """Limit of the effort if the straight path is infeasible, per robot and inner knot of the
     largest guess. Successful searches of 3 to 12 robots took up to 170."""
 
+    # Smallest limit of the effort if the straight path is feasible: about 2 s
     min_effort: float = 2e4
-    """Smallest limit of the effort if the straight path is feasible: about 2 s."""
-
     effort_per_robot: float = 300.0
     """Limit of the effort per robot if the straight path is feasible, if that is more: about ten
     times that of planning this path."""
@@ -142,12 +121,8 @@ class SearchTuning:
     """Smallest gain of a step toward a faster path, as a share of its duration, below which no
     further one is tried."""
 
-    min_guess_margin: float = 0.3
-    """Smallest margin of distances of a promising guess."""
-
-    max_rolled: int = 8
-    """Maximum number of guesses with roll that are tried."""
-
+    min_guess_margin: float = 0.3  # Smallest margin of distances of a promising guess
+    max_rolled: int = 8  # Maximum number of guesses with roll that are tried
     max_rolled_effort: float = 2.0
     """Maximum effort of these guesses together, over that of one, beyond which no further one is
     tried."""
@@ -156,17 +131,14 @@ class SearchTuning:
     """Effort per robot to find leg lengths along a guess and to judge it, which counts for the
     plan."""
 
+    # Factor on the margins of the ends, which they then satisfy despite rounding
     end_margin_factor: float = 1.0 - 1e-4
-    """Factor on the margins of the ends, which they then satisfy despite rounding."""
-
-    path_tolerance: float = 0.05
-    """[m] Difference at every knot below which paths are equal."""
+    path_tolerance: float = 0.05  # [m] Difference at every knot below which paths are equal
 
 
 TUNING = SearchTuning()
 
-INITIAL_STEP = SolverStep(stride=0.17)
-"""Step of the optimiser from a guess."""
+INITIAL_STEP = SolverStep(stride=0.17)  # Step of the optimiser from a guess
 
 
 def min_duration(start: Hitch, end: Hitch, limits: Limits) -> float:
@@ -183,14 +155,9 @@ def min_duration(start: Hitch, end: Hitch, limits: Limits) -> float:
 class Route:
     """A motion that the judge accepted."""
 
-    name: str
-    """Name of its initial guess; empty for the straight path."""
-
-    motion: Motion
-    """The motion along its path."""
-
-    cost: float = 0.0
-    """[s] Estimate of the integral of a custom cost over its flight."""
+    name: str  # Name of its initial guess; empty for the straight path
+    motion: Motion  # The motion along its path
+    cost: float = 0.0  # [s] Estimate of the integral of a custom cost over its flight
 
     @property
     def objective(self) -> float:
@@ -201,11 +168,10 @@ class Route:
 class Routes(NamedTuple):
     """What a search found."""
 
+    # Motions along feasible paths, the fastest first, or the cheapest with a cost
     accepted: list[Route]
-    """Motions along feasible paths, the fastest first, or the cheapest with a cost."""
-
+    # The path with the largest margin of distances, if none was accepted and some were tried
     rejected: KnotPath | None
-    """The path with the largest margin of distances, if none was accepted and some were tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,29 +182,17 @@ class OptimisedMorph:
     can be faster.
     """
 
-    start: Hitch
-    """Hitch at one altitude that satisfies all limits."""
-
-    end: Hitch
-    """Hitch at the same altitude that satisfies all limits."""
-
-    requirements: Requirements
-    """Limits, separation and arena."""
-
-    judge: Judge
-    """Accepts or rejects paths; rejected ones are refined."""
-
+    start: Hitch  # Hitch at one altitude that satisfies all limits
+    end: Hitch  # Hitch at the same altitude that satisfies all limits
+    requirements: Requirements  # Limits, separation and arena
+    judge: Judge  # Accepts or rejects paths; rejected ones are refined
+    # [N] Smallest and largest one of variable tensions, or None
     tension: tuple[float, float] | None = None
-    """[N] Smallest and largest one of variable tensions, or None."""
-
-    straight: Path | None = None
-    """Path with straight vertices; None if it is infeasible."""
-
+    straight: Path | None = None  # Path with straight vertices; None if it is infeasible
+    # Custom cost; with one all guesses are optimised, regardless of their durations
     cost: FlightCost | None = None
-    """Custom cost; with one all guesses are optimised, regardless of their durations."""
-
+    # Effort of the plan of which the search is a part
     effort: Effort = field(default_factory=Effort)
-    """Effort of the plan of which the search is a part."""
 
     @property
     def min_duration(self) -> float:

@@ -24,30 +24,21 @@ from hitchopt.planners.optimise.splines import DEGREE, LocalBasis, PathSplines, 
 from hitchopt.planners.path import Path
 from hitchopt.values import Array, Indices
 
-MARGIN_RAMP = 0.06
-"""Distance from an end in s over which margins rise."""
+MARGIN_RAMP = 0.06  # Distance from an end in s over which margins rise
 
 END_MARGIN = 1.0005
 """Enforced distances over their limits next to the ends, which are as near as limits allow."""
 
-MIN_SINE = 0.026
-"""Smallest sine of exterior angles, unless the route has a smaller one."""
-
-LEG_MARGIN = 1e-3
-"""[m] Margin of the shortest legs and of walls."""
-
-TENSION_SHARE = 1e-3
-"""Margin at both ends of a range of tensions, over the range."""
+MIN_SINE = 0.026  # Smallest sine of exterior angles, unless the route has a smaller one
+LEG_MARGIN = 1e-3  # [m] Margin of the shortest legs and of walls
+TENSION_SHARE = 1e-3  # Margin at both ends of a range of tensions, over the range
 
 
 class ShapeBlock(NamedTuple):
     """Rows of distances, legs, walls, angles and tensions."""
 
-    rows: sp.csr_array[np.float64]
-    """(rows, coefficients): derivatives by the splines' coefficients."""
-
-    smallest: Array
-    """(rows,): smallest changes."""
+    rows: sp.csr_array[np.float64]  # (rows, coefficients): derivatives by the splines' coefficients
+    smallest: Array  # (rows,): smallest changes
 
     @classmethod
     def stacked(cls, blocks: Sequence[ShapeBlock]) -> ShapeBlock:
@@ -59,11 +50,9 @@ class ShapeBlock(NamedTuple):
 class Slopes(NamedTuple):
     """Derivatives of quantities of bodies by the unknowns of their parts."""
 
-    values: Array
-    """(J, bodies, …, largest size of a part)"""
-
+    values: Array  # (J, bodies, …, largest size of a part)
+    # (bodies, largest size of a part): the unknowns; any for entries that are zero
     columns: Indices
-    """(bodies, largest size of a part): the unknowns; any for entries that are zero."""
 
     @classmethod
     def zeros(cls, *shape: int) -> Slopes:
@@ -78,26 +67,13 @@ class PathShapes:
     Nodes are those of ``Layout.routes``: points, then drones.
     """
 
-    splines: PathSplines
-    """The splines that are added to the path."""
-
-    s: Array
-    """(J,): the samples."""
-
-    unknowns: Array
-    """(J, unknowns)"""
-
-    nodes: Array
-    """(J, nodes, 3) [m]: positions."""
-
-    drone_slopes: Slopes
-    """(J, 2n, 3, …): derivatives of drones."""
-
-    turns: Array
-    """(J, clasps): sines of exterior angles."""
-
-    turn_slopes: Slopes
-    """(J, clasps, …): derivatives of these."""
+    splines: PathSplines  # The splines that are added to the path
+    s: Array  # (J,): the samples
+    unknowns: Array  # (J, unknowns)
+    nodes: Array  # (J, nodes, 3) [m]: positions
+    drone_slopes: Slopes  # (J, 2n, 3, …): derivatives of drones
+    turns: Array  # (J, clasps): sines of exterior angles
+    turn_slopes: Slopes  # (J, clasps, …): derivatives of these
 
     @classmethod
     def of(

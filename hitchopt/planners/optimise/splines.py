@@ -16,18 +16,14 @@ from hitchopt.trajectory.piecewise import merged_breaks, on_breaks, summed
 from hitchopt.trajectory.splines import bspline, extraction
 from hitchopt.values import Array, Indices
 
-DEGREE = 5
-"""Degree of the splines that are added."""
+DEGREE = 5  # Degree of the splines that are added
 
 
 class LocalBasis(NamedTuple):
     """B-splines at samples."""
 
-    first: Indices
-    """(M,): index of the first one that does not vanish."""
-
-    jets: Array
-    """(M, degree + 1, count): values and derivatives of those that do not."""
+    first: Indices  # (M,): index of the first one that does not vanish
+    jets: Array  # (M, degree + 1, count): values and derivatives of those that do not
 
     @classmethod
     def of(cls, knots: Array, degree: int, at: Array, count: int) -> LocalBasis:
@@ -63,11 +59,8 @@ class PathSplines:
     Coefficients are stored B-spline by B-spline, each with those of all unknowns.
     """
 
-    columns: Columns
-    """The unknowns: flat outputs to which splines are added."""
-
-    pieces: int
-    """Number of pieces of each spline."""
+    columns: Columns  # The unknowns: flat outputs to which splines are added
+    pieces: int  # Number of pieces of each spline
 
     @classmethod
     def of(cls, path: Path, pieces: int) -> PathSplines:

@@ -26,43 +26,26 @@ from hitchopt.planners.timing.profile import (
 )
 from hitchopt.values import Array, Indices
 
-MIN_SHARE = 0.5
-"""Fraction of a limit of speed or acceleration below which a node has no row."""
+MIN_SHARE = 0.5  # Fraction of a limit of speed or acceleration below which a node has no row
 
 
 class TimeEntries(NamedTuple):
     """Entries of a sparse matrix: derivatives of rows by the times of steps."""
 
-    row: Indices
-    """(entries,)"""
-
-    step: Indices
-    """(entries,)"""
-
-    entry: Array
-    """(entries,)"""
+    row: Indices  # (entries,)
+    step: Indices  # (entries,)
+    entry: Array  # (entries,)
 
 
 class TimedRows(NamedTuple):
     """Linear rows of m nodes, by their positions at k knots and by the times of l steps."""
 
-    node: Indices
-    """(m,), of 3n."""
-
-    knots: Indices
-    """(m, k), of which ends and those beyond have no variables."""
-
-    by_place: Array
-    """(m, k, 2): derivatives with respect to the node's positions there."""
-
-    steps: Indices
-    """(m, l), of which those before the first or after the last one do not exist."""
-
-    by_time: Array
-    """(m, l): derivatives with respect to the times of these steps."""
-
-    spare: Array
-    """(m,): largest change of the value."""
+    node: Indices  # (m,), of 3n
+    knots: Indices  # (m, k), of which ends and those beyond have no variables
+    by_place: Array  # (m, k, 2): derivatives with respect to the node's positions there
+    steps: Indices  # (m, l), of which those before the first or after the last one do not exist
+    by_time: Array  # (m, l): derivatives with respect to the times of these steps
+    spare: Array  # (m,): largest change of the value
 
     def by_table(self, path: KnotPath) -> sp.csr_array[np.float64]:
         """Return the derivatives with respect to the table's inner rows."""
@@ -126,14 +109,10 @@ def speed_rows(path: KnotPath, limits: Limits, times: Array) -> TimedRows:
 class KnotAccelerations(NamedTuple):
     """Accelerations of k nodes at J + 1 knots, from rest to rest, and what determines them."""
 
-    values: Array
-    """(J + 1, k, 2) [m/s²]"""
-
+    values: Array  # (J + 1, k, 2) [m/s²]
+    # (2, J + 1, k, 2) [m/s]: mean velocities in the steps before and after; zero at rest
     velocities: Array
-    """(2, J + 1, k, 2) [m/s]: mean velocities in the steps before and after; zero at rest."""
-
-    times: Array
-    """(2, J + 1) [s]: times of the steps before and after, zero beyond the ends."""
+    times: Array  # (2, J + 1) [s]: times of the steps before and after, zero beyond the ends
 
 
 def accelerations(places: Array, times: Array) -> KnotAccelerations:

@@ -23,38 +23,20 @@ from hitchopt.planners.optimise.shape_rows import ShapeBlock
 from hitchopt.planners.optimise.splines import scattered
 from hitchopt.values import Array, Indices
 
-MAX_ROUNDS = 4
-"""Maximum number of programs of one step, with more rows each."""
-
-RATE_CHANGE = 0.3
-"""Trust radius of x over its current value."""
-
-NEAR = 0.8
-"""Share of a limit above which it has a row at first."""
-
-BROKEN = 1.02
-"""Value over its limit above which a limit of motion gets a row."""
-
-REACH_MARGIN = 5e-3
-"""[m] Distance beyond twice the stride up to which pairs have rows."""
-
-NEAR_DISTANCE = 0.5
-"""Distance to its bound, in strides, below which a distance has a row at first."""
+MAX_ROUNDS = 4  # Maximum number of programs of one step, with more rows each
+RATE_CHANGE = 0.3  # Trust radius of x over its current value
+NEAR = 0.8  # Share of a limit above which it has a row at first
+BROKEN = 1.02  # Value over its limit above which a limit of motion gets a row
+REACH_MARGIN = 5e-3  # [m] Distance beyond twice the stride up to which pairs have rows
+NEAR_DISTANCE = 0.5  # Distance to its bound, in strides, below which a distance has a row at first
 
 ADDED_DISTANCE = 0.1
 """Distance to its bound, in strides, below which a distance gets a row with others."""
 
-BEND_WEIGHT = 1e-2
-"""[s/m²] Weight of second differences of the splines' coefficients."""
-
-SLACK_UNIT = 0.01
-"""[m] Unit of slacks of distances, which scales the program."""
-
-SLACK_PENALTY = 10.0
-"""Penalty of slacks over that of shortfalls of flights."""
-
-REGULARISATION = 1e-9
-"""Added to the Hessian's diagonal."""
+BEND_WEIGHT = 1e-2  # [s/m²] Weight of second differences of the splines' coefficients
+SLACK_UNIT = 0.01  # [m] Unit of slacks of distances, which scales the program
+SLACK_PENALTY = 10.0  # Penalty of slacks over that of shortfalls of flights
+REGULARISATION = 1e-9  # Added to the Hessian's diagonal
 
 
 def best_step(flight: Flight, stride: float, effort: Effort) -> Step | None:
@@ -96,26 +78,13 @@ class TrustRegion:
     of the coefficients of x, and slacks of distances that are too short.
     """
 
-    flight: Flight
-    """The current flight."""
-
-    shape: ShapeBlock
-    """All rows of shapes."""
-
-    free: Indices
-    """(free,): coefficients of splines that change."""
-
-    radii: Array
-    """(free,): their trust radii."""
-
-    rate_gradient: Array
-    """(coefficients of x,) [s]: derivatives of duration and custom cost."""
-
-    cost_gradient: Array
-    """(free,) [s]: derivatives of the custom cost by coefficients of splines."""
-
-    hessian: sp.csc_array[np.float64]
-    """(variables, variables)"""
+    flight: Flight  # The current flight
+    shape: ShapeBlock  # All rows of shapes
+    free: Indices  # (free,): coefficients of splines that change
+    radii: Array  # (free,): their trust radii
+    rate_gradient: Array  # (coefficients of x,) [s]: derivatives of duration and custom cost
+    cost_gradient: Array  # (free,) [s]: derivatives of the custom cost by coefficients of splines
+    hessian: sp.csc_array[np.float64]  # (variables, variables)
 
     @classmethod
     def of(cls, flight: Flight, stride: float, shape: ShapeBlock) -> TrustRegion:

@@ -18,20 +18,14 @@ from hitchopt.values import Array, Indices
 CORNER_DISTANCE = 1.25
 """Distance of a route's corners to prisms, in radii; 1 if there is no such route."""
 
-TOWER_HEIGHT = 1e6
-"""[m] Altitude above, and depth below, all flights."""
-
-GAP_BISECTIONS = 12
-"""Number of bisections of the radius that locate the widest gap."""
+TOWER_HEIGHT = 1e6  # [m] Altitude above, and depth below, all flights
+GAP_BISECTIONS = 12  # Number of bisections of the radius that locate the widest gap
 
 GAP_SAMPLES = 2001
 """Number of samples of a route that tell which prisms are beside its narrowest part."""
 
-BESIDE_GAP = 1.1
-"""Distance to a prism beside the widest gap, over that gap's."""
-
-RADIUS_TOLERANCE = 1e-6
-"""Tolerance of distances to prisms, relative to the radius."""
+BESIDE_GAP = 1.1  # Distance to a prism beside the widest gap, over that gap's
+RADIUS_TOLERANCE = 1e-6  # Tolerance of distances to prisms, relative to the radius
 
 
 def points_along(route: Array, shares: Array) -> Array:

@@ -23,14 +23,12 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array
 
-UNCLEAR_MERIT = 1e9
-"""Merit of curves that violate a limit at any speed, per missing separation."""
+UNCLEAR_MERIT = 1e9  # Merit of curves that violate a limit at any speed, per missing separation
 
 STRETCH = 1.0 / LIMIT_SHARE
 """Stretch of the shortest duration, a reserve for rounding and refitting in exports."""
 
-MIN_DURATION = 0.01
-"""[s] Smallest duration, as of flights in which no drone moves."""
+MIN_DURATION = 0.01  # [s] Smallest duration, as of flights in which no drone moves
 
 REMEDY = "allow more time or space, or move these drones apart"
 """Suggested change for curves that violate a limit."""

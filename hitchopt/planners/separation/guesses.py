@@ -26,43 +26,27 @@ from hitchopt.values import Array
 class GuessTuning:
     """Numbers of the guesses; ``python -m benchmarks separation`` shows their effect."""
 
-    samples: int = 3
-    """Number of samples of every piece at which guesses are pushed."""
-
-    target_separation: float = 1.15
-    """Target of pushes; above 1, since drones move between samples."""
-
-    max_push_iterations: int = 120
-    """Maximum number of iterations of pushing."""
-
-    momentum: float = 0.8
-    """Fraction of an iteration's pushes that is added to the next."""
-
-    smoothing_time: float = 0.08
-    """Time constant of the smoothing filter, over the duration."""
-
+    samples: int = 3  # Number of samples of every piece at which guesses are pushed
+    target_separation: float = 1.15  # Target of pushes; above 1, since drones move between samples
+    max_push_iterations: int = 120  # Maximum number of iterations of pushing
+    momentum: float = 0.8  # Fraction of an iteration's pushes that is added to the next
+    smoothing_time: float = 0.08  # Time constant of the smoothing filter, over the duration
+    # Fraction of the iterations over which the common side fades out of the pushes
     side_fade_share: float = 0.5
-    """Fraction of the iterations over which the common side fades out of the pushes."""
-
+    # Share of the distance to a prism below which a drone counts as stuck in it after pushes
     pushed_share: float = 0.8
-    """Share of the distance to a prism below which a drone counts as stuck in it after pushes."""
-
+    # Number of pieces of a grid for a schedule, over that of a grid for flights as long
     schedule_pieces: float = 4.0
-    """Number of pieces of a grid for a schedule, over that of a grid for flights as long."""
-
+    # Time constant of the filter of a schedule, over its duration
     schedule_smoothing_time: float = 0.005
-    """Time constant of the filter of a schedule, over its duration."""
-
+    # Smallest number of drones meeting at the same time for which a roundabout is used
     min_crowd: int = 32
-    """Smallest number of drones meeting at the same time for which a roundabout is used."""
-
     layers: int = 2
     """Number of altitudes of a roundabout, which drones take in turn; it divides the rings' radius.
     """
 
+    # Radius of a ring over that at which its drones have the ``target_separation``
     ring_factor: float = 1.06
-    """Radius of a ring over that at which its drones have the ``target_separation``."""
-
     detour_factor: float = 1.3
     """Distance from the centre at which drones leave their straight routes, over the radius of a
     ring of all drones."""
@@ -71,15 +55,13 @@ class GuessTuning:
     """Power of the distance in the vertical offset, so that layers are separated before drones
     enter a ring of all of them."""
 
-    min_layered: int = 16
-    """Smallest number of drones that are spread over altitudes among prisms."""
+    min_layered: int = 16  # Smallest number of drones that are spread over altitudes among prisms
 
 
 TUNING = GuessTuning()
 
 
-MIN_OFFSET = 1e-9
-"""Offset of two drones, in separations, below which they are pushed to the right."""
+MIN_OFFSET = 1e-9  # Offset of two drones, in separations, below which they are pushed to the right
 
 MIN_LEVEL_SHARE = 1e-3
 """Level part of a velocity, over its length, below which the velocity counts as vertical."""

@@ -12,23 +12,18 @@ from hitchopt.planners.separation.task import END_COUNT, Grid, SeparationTask, S
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.values import Array
 
-RAMP_PIECES = 3
-"""Number of pieces of a ramp, which resolve the fastest flight to within 2 %."""
+RAMP_PIECES = 3  # Number of pieces of a ramp, which resolve the fastest flight to within 2 %
 
 MAX_CRUISE_PIECES = 20
 """Maximum number of pieces between the ramps; if there are fewer, each is as long as a ramp."""
 
-MIN_RAMP_SHARE = 1e-5
-"""Shortest ramp over the duration; splines do not resolve shorter ones."""
-
-FIT_SAMPLES = 12
-"""Number of samples of every piece through which nominal curves are fitted."""
+MIN_RAMP_SHARE = 1e-5  # Shortest ramp over the duration; splines do not resolve shorter ones
+FIT_SAMPLES = 12  # Number of samples of every piece through which nominal curves are fitted
 
 MIN_ROUTE_RATIO = 1e-6
 """Length of the longest route, over the length scale, below which no drone moves."""
 
-BREAK_ROUNDING = 1e-9
-"""Rounding of the duration of the cruise [ramps], which adds no piece."""
+BREAK_ROUNDING = 1e-9  # Rounding of the duration of the cruise [ramps], which adds no piece
 
 
 def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
@@ -112,8 +107,7 @@ def fitted_curves(
     return coefficients
 
 
-PROGRESS_SAMPLES = 1001
-"""Number of times between which the progress along a route is linear."""
+PROGRESS_SAMPLES = 1001  # Number of times between which the progress along a route is linear
 
 
 def _progress(s: Array, ramp: float) -> Array:

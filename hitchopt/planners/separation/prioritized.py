@@ -32,36 +32,18 @@ Node = tuple[int, int, int]
 class LatticeTuning:
     """Numbers of lattices; ``python -m benchmarks separation`` shows their effect."""
 
-    spacing: float = 0.25
-    """Distance between neighbouring points of a lattice, in separations."""
-
-    max_points: int = 40_000
-    """Maximum number of points; lattices of larger spaces are coarser."""
-
+    spacing: float = 0.25  # Distance between neighbouring points of a lattice, in separations
+    max_points: int = 40_000  # Maximum number of points; lattices of larger spaces are coarser
+    # Spacing, in separations, above which a lattice resolves no two drones
     max_spacing: float = 1.0
-    """Spacing, in separations, above which a lattice resolves no two drones."""
-
-    coarser: float = 1.1
-    """Ratio of spacings of a coarser and a finer lattice."""
-
+    coarser: float = 1.1  # Ratio of spacings of a coarser and a finer lattice
+    # Largest distance by which a point is moved away from prisms, over the spacing
     max_move: float = 0.6
-    """Largest distance by which a point is moved away from prisms, over the spacing."""
-
-    moves: int = 4
-    """Number of times that points are moved away from each prism."""
-
-    prism_tolerance: float = 1e-3
-    """Tolerance of the distance to prisms, over the radius of drones."""
-
-    margin: float = 3.0
-    """Lattice around starts and goals without an arena, in separations."""
-
-    max_steps_ratio: int = 5
-    """Maximum number of steps over that of the longest path alone."""
-
-    max_orders: int = 8
-    """Maximum number of orders of priority for each clearance."""
-
+    moves: int = 4  # Number of times that points are moved away from each prism
+    prism_tolerance: float = 1e-3  # Tolerance of the distance to prisms, over the radius of drones
+    margin: float = 3.0  # Lattice around starts and goals without an arena, in separations
+    max_steps_ratio: int = 5  # Maximum number of steps over that of the longest path alone
+    max_orders: int = 8  # Maximum number of orders of priority for each clearance
     straight_bonus: float = 0.5
     """Bonus of a step like the one after it, over squared distances in steps, which are integers.
     """
@@ -78,8 +60,7 @@ these times drones may come closer; the programs that follow correct it."""
 STEPS = np.array(sorted(product((-1, 0, 1), repeat=3), key=lambda step: sum(map(abs, step))))
 """(27, 3): steps from a point to itself, which is waiting, and to its neighbours."""
 
-WAITING: Indices = STEPS[0]
-"""(3,): the step of a drone that waits."""
+WAITING: Indices = STEPS[0]  # (3,): the step of a drone that waits
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,7 @@ from hitchopt.planners.separation.task import END_COUNT, Setting, inside
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices, true_runs
 
-PLANE_MARGIN = 0.01
-"""Margin of every plane, in separations; OSQP's residuals are a few thousandths."""
+PLANE_MARGIN = 0.01  # Margin of every plane, in separations; OSQP's residuals are a few thousandths
 
 
 @dataclass(frozen=True)
@@ -40,35 +39,24 @@ class ProgramTuning:
     """Weight of the squared third derivative over that of the squared distance to the nominal
     curves, for lengths relative to the longest route and a duration of one."""
 
-    plane_penalty: float = 10.0
-    """Penalty weight of a squared slack of a plane or tether."""
-
+    plane_penalty: float = 10.0  # Penalty weight of a squared slack of a plane or tether
+    # Penalty weight of a squared slack of a drone's limits, divided by the number of drones
     limit_penalty: float = 100.0
-    """Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
-
     lateral_shares: tuple[float, float] = (0.3, 0.7)
     """Largest change normal to a derivative, as fractions of its limit: at the limit, and at zero.
     """
 
+    # Absolute and relative tolerance of OSQP, for rows that are scaled to about one
     solver_tolerance: float = 1e-3
-    """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
-
     near_range: float = 0.1
     """Distance to their bounds below which rows are enforced at first, where all changes are zero.
     """
 
+    # Distance to their bounds below which rows are added together with violated rows
     added_range: float = 0.05
-    """Distance to their bounds below which rows are added together with violated rows."""
-
-    initial_step: float = 0.1
-    """First step size ρ of OSQP."""
-
-    normal_slope: float = 1e-2
-    """Upward slope of horizontal normals per separation."""
-
-    slope_separation: float = 2.0
-    """Separation above which that slope is zero."""
-
+    initial_step: float = 0.1  # First step size ρ of OSQP
+    normal_slope: float = 1e-2  # Upward slope of horizontal normals per separation
+    slope_separation: float = 2.0  # Separation above which that slope is zero
     bounding_share: float = 0.5
     """Share of its squared distance above which a plane through a hull's nearest point bounds the
     hull. The share is 1 without rounding if the origin is outside, and at most 0 if it is inside.
@@ -78,8 +66,7 @@ class ProgramTuning:
 TUNING = ProgramTuning()
 
 
-MIN_DIRECTION = 1e-9
-"""Smallest length of a scaled vector whose direction is used."""
+MIN_DIRECTION = 1e-9  # Smallest length of a scaled vector whose direction is used
 
 
 def moved_curves(
@@ -285,12 +272,8 @@ def _add_limit(
         add(axis, -bound - component, bound - component)
 
 
-CHUNK = 100
-"""Iterations of OSQP before all rows are checked."""
-
-
-MIN_TIME_LIMIT = 1e-3
-"""[s] Smallest time limit for OSQP, in which zero means no limit."""
+CHUNK = 100  # Iterations of OSQP before all rows are checked
+MIN_TIME_LIMIT = 1e-3  # [s] Smallest time limit for OSQP, in which zero means no limit
 
 
 def solve_program(program: QuadraticProgram, max_iterations: int) -> Array | None:
@@ -362,15 +345,13 @@ def _settings() -> dict[str, float | bool]:
     return settings
 
 
-LEVEL_TOLERANCE = 1e-6
-"""Largest vertical component of horizontal normals."""
+LEVEL_TOLERANCE = 1e-6  # Largest vertical component of horizontal normals
 
 MIN_HULL_DISTANCE = 1e-6
 """Distance of a hull from the origin, in separations, below which it contains it."""
 
 
-CURVE_SAMPLES = 17
-"""Number of samples of a piece that locate its nearest point."""
+CURVE_SAMPLES = 17  # Number of samples of a piece that locate its nearest point
 
 PARALLEL_TOLERANCE = 1e-10
 """Squared sine of the angle below which two edges of a triangle count as parallel; the nearest
@@ -380,15 +361,12 @@ point is then on an edge."""
 class Planes(NamedTuple):
     """Separating planes of pieces of curves; lengths are in separations."""
 
-    sides: Indices
-    """(m, 3): a piece, its drone, and the drone on the other side; -1 for a prism."""
-
+    sides: Indices  # (m, 3): a piece, its drone, and the drone on the other side; -1 for a prism
     normals: Array
     """(m, 3) [1/m]: toward the first drone, the derivatives of gaps with respect to its
     position."""
 
-    gaps: Array
-    """(m, degree + 1): gaps of the coefficients; at least 1 if they keep their distance."""
+    gaps: Array  # (m, degree + 1): gaps of the coefficients; at least 1 if they keep their distance
 
     def with_margin(self, margin: float) -> Planes:
         """Return the planes with gaps that are smaller by a margin."""

@@ -30,83 +30,52 @@ class SearchTuning:
     A round is a program and the evaluation of its curves; it is idle if it improves nothing.
     """
 
-    max_programs: int = 16
-    """Maximum number of programs from one guess."""
-
-    max_iterations: int = 1500
-    """Maximum iterations of OSQP in one program."""
-
+    max_programs: int = 16  # Maximum number of programs from one guess
+    max_iterations: int = 1500  # Maximum iterations of OSQP in one program
+    # Target duration of the next program over the current one, while the curves are clear
     speedup: float = 0.85
-    """Target duration of the next program over the current one, while the curves are clear."""
-
+    # Smallest target duration over that of single flights; splines cannot be faster
     min_duration_ratio: float = 1.03
-    """Smallest target duration over that of single flights; splines cannot be faster."""
-
-    good_ratio: float = 1.05
-    """Duration over that of single flights at which the search ends."""
-
+    good_ratio: float = 1.05  # Duration over that of single flights at which the search ends
+    # Duration over that of single flights at which the search ends after ``max_idle_fair``
     fair_ratio: float = 1.15
-    """Duration over that of single flights at which the search ends after ``max_idle_fair``."""
-
-    min_gain: float = 0.02
-    """Smallest relative improvement."""
-
+    min_gain: float = 0.02  # Smallest relative improvement
+    # Weight of squared changes in a program, as in Levenberg and Marquardt's method
     damping: float = 1e-4
-    """Weight of squared changes in a program, as in Levenberg and Marquardt's method."""
-
-    damping_factor: float = 10.0
-    """Increase of that weight after every idle round."""
-
-    max_idle_fair: int = 2
-    """Maximum number of consecutive idle rounds with fair curves."""
-
-    max_idle: int = 3
-    """Maximum number of consecutive idle rounds with clear curves."""
-
-    max_idle_unclear: int = 6
-    """Maximum number of consecutive idle rounds with other curves."""
-
+    damping_factor: float = 10.0  # Increase of that weight after every idle round
+    max_idle_fair: int = 2  # Maximum number of consecutive idle rounds with fair curves
+    max_idle: int = 3  # Maximum number of consecutive idle rounds with clear curves
+    max_idle_unclear: int = 6  # Maximum number of consecutive idle rounds with other curves
     max_hurried_programs: int = 10
     """Number of programs among prisms that apply the limits at once at the shortest duration, and
     not at that of the current curves, while no curves are clear."""
 
-    max_hurried_idle: int = 4
-    """Maximum number of consecutive idle rounds of such programs."""
-
+    max_hurried_idle: int = 4  # Maximum number of consecutive idle rounds of such programs
+    # Share of the distance to a prism below which a drone counts as stuck in it
     stuck_share: float = 0.95
-    """Share of the distance to a prism below which a drone counts as stuck in it."""
-
     max_stuck: int = 2
     """Maximum number of consecutive rounds that are idle, or too close to prisms alone, before
     drones that are stuck in prisms are put back on their routes."""
 
-    max_resets: int = 6
-    """Maximum number of rounds after which drones are put back."""
-
+    max_resets: int = 6  # Maximum number of rounds after which drones are put back
     nearly_apart: float = 0.05
     """Shortfall of separations below which planes to prisms get the margin that curves lacked,
     after an idle round."""
 
-    max_prism_margin: float = 0.1
-    """Largest such margin, over the distance."""
-
+    max_prism_margin: float = 0.1  # Largest such margin, over the distance
+    # Separation [1] in excess of the limit up to which pairs of pieces have a plane
     plane_range: float = 1.0
-    """Separation [1] in excess of the limit up to which pairs of pieces have a plane."""
-
-    crowd_plane_range: float = 0.5
-    """The same in crowds."""
-
+    crowd_plane_range: float = 0.5  # The same in crowds
     large_crowd: int = 256
     """Smallest number of drones for which a program moves only those that are too close, and the
     search ends with the first clear curves: programs that couple all drones would need too much
     time."""
 
+    # Separation [1] in excess of the limit below which such drones are too close
     close_range: float = 0.1
-    """Separation [1] in excess of the limit below which such drones are too close."""
 
 
-IN_FREE_SPACE = SearchTuning()
-"""Numbers of the search without prisms."""
+IN_FREE_SPACE = SearchTuning()  # Numbers of the search without prisms
 
 AMONG_PRISMS = SearchTuning(max_programs=24, max_iterations=400)
 """Numbers of the search among prisms, whose planes change more from one program to the next."""
@@ -115,14 +84,9 @@ AMONG_PRISMS = SearchTuning(max_programs=24, max_iterations=400)
 class Guess(NamedTuple):
     """Curves from which a search starts."""
 
-    setting: Setting
-    """The task on the time grid of the curves."""
-
-    coefficients: Array
-    """(N, count, 3) [m]"""
-
-    rule: str
-    """Which drones give way to others; empty for direct routes."""
+    setting: Setting  # The task on the time grid of the curves
+    coefficients: Array  # (N, count, 3) [m]
+    rule: str  # Which drones give way to others; empty for direct routes
 
 
 def improved(guess: Guess, report: Progress, effort: Effort) -> CurveBounds:
@@ -136,40 +100,24 @@ def is_good(setting: Setting, duration: float) -> bool:
     return duration <= (setting.task.duration or IN_FREE_SPACE.good_ratio * setting.single_duration)
 
 
-NO_SIDES = np.zeros((0, 3), dtype=np.intp)
-"""Sides of no pairs."""
+NO_SIDES = np.zeros((0, 3), dtype=np.intp)  # Sides of no pairs
 
 
 @dataclass(eq=False)
 class CurveSearch:
     """The state of a search."""
 
-    setting: Setting
-    """The task on the time grid of the curves."""
-
-    current: CurveBounds
-    """Curves of the last program."""
-
-    best: CurveBounds
-    """Best curves so far."""
-
+    setting: Setting  # The task on the time grid of the curves
+    current: CurveBounds  # Curves of the last program
+    best: CurveBounds  # Best curves so far
+    # (pairs, 3): sides of drones on which the last program had planes
     required_sides: Indices = field(default_factory=lambda: NO_SIDES)
-    """(pairs, 3): sides of drones on which the last program had planes."""
-
-    prism_margin: float = 0.0
-    """Margin of planes to prisms, over the distance."""
-
-    idle: int = 0
-    """Consecutive idle rounds."""
-
-    stuck: int = 0
-    """Consecutive rounds that are idle, or too close to prisms alone."""
-
-    resets: int = 0
-    """Rounds after which drones were put back on their routes."""
-
+    prism_margin: float = 0.0  # Margin of planes to prisms, over the distance
+    idle: int = 0  # Consecutive idle rounds
+    stuck: int = 0  # Consecutive rounds that are idle, or too close to prisms alone
+    resets: int = 0  # Rounds after which drones were put back on their routes
+    # Whether all programs so far applied the limits at the shortest duration
     was_hurried: bool = True
-    """Whether all programs so far applied the limits at the shortest duration."""
 
     @property
     def among_prisms(self) -> bool:

@@ -26,11 +26,8 @@ from hitchopt.planners.timing.profile import if_timed
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-SIDE = 0.5
-"""Strength of the pushes with which all drones give way to one side, in separations."""
-
-MAX_RETIMINGS = 4
-"""Maximum number of clocks of clear curves, each on the breaks of the last one."""
+SIDE = 0.5  # Strength of the pushes with which all drones give way to one side, in separations
+MAX_RETIMINGS = 4  # Maximum number of clocks of clear curves, each on the breaks of the last one
 
 MAX_EFFORT = 150_000.0
 """Effort after which no further guess is tried; programs take one unit per drone and piece."""
@@ -132,8 +129,7 @@ def _guesses(setting: Setting) -> Iterator[Guess]:
     yield Guess(setting, left, "all give way to the left where they meet")
 
 
-SLOW_ROUTE = "the fastest route found takes longer"
-"""Why a duration is too short."""
+SLOW_ROUTE = "the fastest route found takes longer"  # Why a duration is too short
 
 LOCAL_SEARCH = "the search of routes is local: others may exist"
 """Note on routes that violate a limit."""

@@ -86,35 +86,25 @@ class SeparationResult:
 
     Position, velocity and acceleration are continuous to 1e-9 or better."""
 
-    closest: float
-    """Lower bound of the separation of any two drones (ratio)."""
-
-    bound: float
-    """[s] Lower bound of the duration, from straight flights of single drones."""
-
-    remark: str
-    """The priority rule of its initial guess."""
+    closest: float  # Lower bound of the separation of any two drones (ratio)
+    bound: float  # [s] Lower bound of the duration, from straight flights of single drones
+    remark: str  # The priority rule of its initial guess
 
 
-DEGREE = 5
-"""Degree of the curves, whose jerk is continuous."""
+DEGREE = 5  # Degree of the curves, whose jerk is continuous
 
 END_COUNT = 3
 """Number of coefficients at each end, fixed by position, zero velocity and zero acceleration."""
 
-TRUST_RATIO = 2.5
-"""Trust radius over the radius of drones."""
-
-WALL_MARGIN = 1e-9
-"""Distance of curves to the arena's walls, relative to its coordinates."""
+TRUST_RATIO = 2.5  # Trust radius over the radius of drones
+WALL_MARGIN = 1e-9  # Distance of curves to the arena's walls, relative to its coordinates
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Pieces of the unit interval, and the splines on them."""
 
-    breaks: Array
-    """(pieces + 1,), from 0 to 1."""
+    breaks: Array  # (pieces + 1,), from 0 to 1
 
     @property
     def pieces(self) -> int:
@@ -209,26 +199,15 @@ class Grid:
 class Setting:
     """A task on a time grid."""
 
-    task: SeparationTask
-    """Starts, goals and requirements."""
-
-    grid: Grid
-    """The pieces of time."""
-
+    task: SeparationTask  # Starts, goals and requirements
+    grid: Grid  # The pieces of time
+    # (N, count, 3) [m]: coefficients of the curves from which deviations are penalized
     nominal: Array
-    """(N, count, 3) [m]: coefficients of the curves from which deviations are penalized."""
-
-    caps: Array
-    """(3, N): limits of the first three time derivatives of each drone."""
-
-    bound: float
-    """[s] Lower bound of the duration, from straight flights of single drones."""
-
-    single_duration: float
-    """[s] Estimate of the longest single flight around prisms."""
-
+    caps: Array  # (3, N): limits of the first three time derivatives of each drone
+    bound: float  # [s] Lower bound of the duration, from straight flights of single drones
+    single_duration: float  # [s] Estimate of the longest single flight around prisms
+    # [m] Length of the longest route, at least the diameter of a drone's ellipsoid
     length_scale: float
-    """[m] Length of the longest route, at least the diameter of a drone's ellipsoid."""
 
     @property
     def trust(self) -> float:

@@ -34,29 +34,20 @@ from hitchopt.values import Array, Indices
 DemandsAt = Callable[[Array], Demands]
 """Function of path parameters s (J,), with the demands of the path there."""
 
-SAMPLES = 5
-"""Number of samples per piece at which limits are evaluated."""
-
-INITIAL_ROWS = 2
-"""Number of drones per sample and limit that have rows in the first round."""
-
-MAX_ROW_ROUNDS = 6
-"""Maximum number of rounds of adding violated rows."""
+SAMPLES = 5  # Number of samples per piece at which limits are evaluated
+INITIAL_ROWS = 2  # Number of drones per sample and limit that have rows in the first round
+MAX_ROW_ROUNDS = 6  # Maximum number of rounds of adding violated rows
 
 LIMIT_TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
 """Relative tolerance of the limits, within the reserve of LIMIT_SHARE."""
 
-SQUARED_SHARE = LIMIT_SHARE**2
-"""Enforced fraction of squared limits."""
+SQUARED_SHARE = LIMIT_SHARE**2  # Enforced fraction of squared limits
 
 MIN_PROGRESS_RATE = 1e-12
 """[1/s] Smallest rate of the first clock by which bounds of speed are divided."""
 
-MAX_RATE_STEPS = 200
-"""Maximum number of constant rates that are tried."""
-
-RATE_FACTOR = 0.8
-"""Factor of a constant rate over the last one that was tried."""
+MAX_RATE_STEPS = 200  # Maximum number of constant rates that are tried
+RATE_FACTOR = 0.8  # Factor of a constant rate over the last one that was tried
 
 INTERIOR_SHARE = 0.97
 """Squared rate of the initial guess over a feasible one, so that it is strictly feasible."""
@@ -64,8 +55,7 @@ INTERIOR_SHARE = 0.97
 NODES, WEIGHTS = leggauss(SAMPLES)
 """Gauss nodes in [-1, 1] of the samples in a piece, and their weights."""
 
-TIME_SAMPLES = 8
-"""Number of samples per piece at which time is integrated."""
+TIME_SAMPLES = 8  # Number of samples per piece at which time is integrated
 
 TIME_NODES, TIME_WEIGHTS = leggauss(TIME_SAMPLES)
 """Gauss nodes in [-1, 1] of these samples, and their weights."""
@@ -75,14 +65,9 @@ TIME_NODES, TIME_WEIGHTS = leggauss(TIME_SAMPLES)
 class Clock:
     """The path parameter s as a function of time t, through τ."""
 
-    knots: Array
-    """(K + 1,) [s]: values of τ that bound the trajectory's pieces."""
-
-    progress: PiecewisePolynomial
-    """s(τ), a quintic spline at rest at both ends."""
-
-    squared_rate: PiecewisePolynomial
-    """x(τ), a cubic spline."""
+    knots: Array  # (K + 1,) [s]: values of τ that bound the trajectory's pieces
+    progress: PiecewisePolynomial  # s(τ), a quintic spline at rest at both ends
+    squared_rate: PiecewisePolynomial  # x(τ), a cubic spline
 
     @property
     def breaks(self) -> Array:
@@ -173,23 +158,12 @@ def _feasible_rate(path: ClockedPath) -> float:
 class ClockedPath:
     """A path by a first clock τ, at M samples."""
 
-    demands: Demands
-    """Demands of the path, by its own parameter."""
-
-    first: Array
-    """(M, 2n, 3): the drones' first derivative with respect to τ."""
-
-    second: Array
-    """(M, 2n, 3): the second one."""
-
-    third: Array
-    """(M, 2n, 3): the third one."""
-
-    rate_bound: Array
-    """(M,): upper bound of x by the speed limits."""
-
-    largest_jerks: Array
-    """(M,) [m/s³]: limit of jerk."""
+    demands: Demands  # Demands of the path, by its own parameter
+    first: Array  # (M, 2n, 3): the drones' first derivative with respect to τ
+    second: Array  # (M, 2n, 3): the second one
+    third: Array  # (M, 2n, 3): the third one
+    rate_bound: Array  # (M,): upper bound of x by the speed limits
+    largest_jerks: Array  # (M,) [m/s³]: limit of jerk
 
     @classmethod
     def of(cls, demands: Demands, progress: Array, jerk_shares: Array | None = None) -> ClockedPath:
@@ -261,20 +235,11 @@ class RateRows:
     Rows are convex except those of tilt, with C, and of jerk, with e.
     """
 
-    forms: Array
-    """(3, 3, R, M): Q - C, the quadratic parts."""
-
-    C: Array
-    """(3, 3, R, M): their concave parts."""
-
-    b: Array
-    """(3, R, M): the linear parts."""
-
-    c: Array
-    """(R, M): the constant parts."""
-
-    e: Array
-    """(R, M): the factors of 1 / x."""
+    forms: Array  # (3, 3, R, M): Q - C, the quadratic parts
+    C: Array  # (3, 3, R, M): their concave parts
+    b: Array  # (3, R, M): the linear parts
+    c: Array  # (R, M): the constant parts
+    e: Array  # (R, M): the factors of 1 / x
 
     @classmethod
     def of(cls, path: ClockedPath, drones: Indices) -> RateRows:
@@ -318,20 +283,11 @@ class RateRows:
 class LimitRows(NamedTuple):
     """Rows of one limit, of R' drones at each of M samples, in the form of ``RateRows``."""
 
-    Q: Array
-    """(M, R', 3, 3): the convex quadratic parts."""
-
-    C: Array
-    """(M, R', 3, 3): the concave quadratic parts."""
-
-    b: Array
-    """(M, R', 3): the linear parts."""
-
-    c: Array
-    """(M, R'): the constant parts."""
-
-    e: Array
-    """(M, R'): the factors of 1 / x."""
+    Q: Array  # (M, R', 3, 3): the convex quadratic parts
+    C: Array  # (M, R', 3, 3): the concave quadratic parts
+    b: Array  # (M, R', 3): the linear parts
+    c: Array  # (M, R'): the constant parts
+    e: Array  # (M, R'): the factors of 1 / x
 
     @classmethod
     def of(
@@ -424,52 +380,29 @@ def _double(A: Array, load: Array) -> Array:
     return double
 
 
-DEGREE = 3
-"""Degree of the spline x."""
-
-MAX_NEWTON_STEPS = 60
-"""Maximum number of Newton steps; 15 are typical."""
-
-GAP_TOLERANCE = 1e-5
-"""Duality gap at which the search ends, over the duration."""
+DEGREE = 3  # Degree of the spline x
+MAX_NEWTON_STEPS = 60  # Maximum number of Newton steps; 15 are typical
+GAP_TOLERANCE = 1e-5  # Duality gap at which the search ends, over the duration
 
 MIN_COEFFICIENT = 1e-4
 """Lower bound of coefficients, which keeps the rate positive between the samples."""
 
-BOUNDARY_SHARE = 0.99
-"""Largest step over the distance to the nearest bound."""
-
-MIN_SLACK_SHARE = 1e-3
-"""Smallest slack after a step, over that before."""
-
-BACKTRACK_FACTOR = 0.7
-"""Factor that shortens steps that violate a row."""
-
-MIN_STEP_SHARE = 1e-8
-"""Fraction of a step at which the search ends."""
-
-CENTRING = 0.1
-"""Target of the duality gap in a step, over the current gap."""
+BOUNDARY_SHARE = 0.99  # Largest step over the distance to the nearest bound
+MIN_SLACK_SHARE = 1e-3  # Smallest slack after a step, over that before
+BACKTRACK_FACTOR = 0.7  # Factor that shortens steps that violate a row
+MIN_STEP_SHARE = 1e-8  # Fraction of a step at which the search ends
+CENTRING = 0.1  # Target of the duality gap in a step, over the current gap
 
 
 @dataclass(frozen=True, eq=False)
 class SplineBasis:
     """A cubic spline and its first two derivatives at M samples; each has four coefficients."""
 
-    knots: Array
-    """(count + DEGREE + 1,): knots of the spline."""
-
-    columns: Indices
-    """(4, M): coefficients at each sample."""
-
-    local: Array
-    """(3, 4, M): value and derivatives of their B-splines."""
-
-    pairs: Array
-    """(9, 10, M): products of these, of the lower triangle of pairs of coefficients."""
-
-    band: Indices
-    """(10, M): index of such pairs in a lower band (4, count)."""
+    knots: Array  # (count + DEGREE + 1,): knots of the spline
+    columns: Indices  # (4, M): coefficients at each sample
+    local: Array  # (3, 4, M): value and derivatives of their B-splines
+    pairs: Array  # (9, 10, M): products of these, of the lower triangle of pairs of coefficients
+    band: Indices  # (10, M): index of such pairs in a lower band (4, count)
 
     @classmethod
     def of(cls, places: Array, at: Array) -> SplineBasis:
@@ -515,28 +448,18 @@ class SplineBasis:
 class RatePoint(NamedTuple):
     """A strictly feasible point of a ``RateProgram``."""
 
-    p: Array
-    """(3, M): x and its derivatives at the samples."""
-
-    gradients: Array
-    """(3, R, M): derivatives of the rows by p."""
-
-    slack: Array
-    """(R · M + count,): slacks of rows, then of coefficients."""
+    p: Array  # (3, M): x and its derivatives at the samples
+    gradients: Array  # (3, R, M): derivatives of the rows by p
+    slack: Array  # (R · M + count,): slacks of rows, then of coefficients
 
 
 @dataclass(frozen=True, eq=False)
 class RateProgram:
     """The program ``min Σ w / √x`` over coefficients of a cubic spline x, all rows below zero."""
 
-    basis: SplineBasis
-    """The spline at the samples."""
-
-    rows: RateRows
-    """The rows at the samples."""
-
-    weights: Array
-    """(M,) [s]: weights of the duration's quadrature."""
+    basis: SplineBasis  # The spline at the samples
+    rows: RateRows  # The rows at the samples
+    weights: Array  # (M,) [s]: weights of the duration's quadrature
 
     def duration(self, p: Array) -> float:
         """Return Σ w / √x [s] for x and its derivatives p (3, M) at the samples."""
@@ -616,11 +539,9 @@ def _feasible_step(
 class NewtonSystem(NamedTuple):
     """Newton's equations of a ``RateProgram`` at a point."""
 
-    residual: Array
-    """(count,): gradient of the Lagrangian by the coefficients."""
-
+    residual: Array  # (count,): gradient of the Lagrangian by the coefficients
+    # (4, count): Cholesky factor of the matrix, a lower band; None if it is not definite
     factor: Array | None
-    """(4, count): Cholesky factor of the matrix, a lower band; None if it is not definite."""
 
 
 def _newton_system(program: RateProgram, point: RatePoint, dual: Array) -> NewtonSystem:

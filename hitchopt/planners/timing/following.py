@@ -25,14 +25,9 @@ from hitchopt.values import Array
 MAX_DISTANCE = 1e-4
 """[m] Largest distance of a motion from its path, as of ``Path.of`` from its function."""
 
-MAX_PIECES = 10_000
-"""Number of pieces beyond which a path is refused."""
-
-SPANS = 64
-"""Number of spans of a piece on which path and motion are compared with their chords."""
-
-DRONE_STRIDE = 8
-"""Number of these spans between two times at which drones are compared."""
+MAX_PIECES = 10_000  # Number of pieces beyond which a path is refused
+SPANS = 64  # Number of spans of a piece on which path and motion are compared with their chords
+DRONE_STRIDE = 8  # Number of these spans between two times at which drones are compared
 
 
 def following_motion(

@@ -7,8 +7,7 @@ import numpy as np
 from hitchopt.planners.timing.profile import SpeedProfile
 from hitchopt.values import Array
 
-MAX_PIECE_SHARE = 1.0 / 12.0
-"""Longest piece over the duration."""
+MAX_PIECE_SHARE = 1.0 / 12.0  # Longest piece over the duration
 
 PIECES_PER_RAMP = 6.0
 """Number of pieces in a change of the acceleration from one limit to the other."""
@@ -16,20 +15,11 @@ PIECES_PER_RAMP = 6.0
 MIN_PIECE = 5e-3
 """[s] Shortest piece; shorter ones lose more digits of third derivatives than they gain speed."""
 
-MAX_INITIAL_PIECES = 200
-"""Approximate largest number of pieces of the first mesh."""
-
-MIN_INITIAL_PIECES = 4
-"""Smallest number of pieces of the first mesh."""
-
-GRADING = 0.4
-"""Largest slope of the length of pieces over time."""
-
-TIME_TOLERANCE = 1e-9
-"""Distance over the duration below which times are equal up to rounding."""
-
-ACTIVE_SHARE = 0.1
-"""Change of acceleration, over the largest one, above which pieces are short."""
+MAX_INITIAL_PIECES = 200  # Approximate largest number of pieces of the first mesh
+MIN_INITIAL_PIECES = 4  # Smallest number of pieces of the first mesh
+GRADING = 0.4  # Largest slope of the length of pieces over time
+TIME_TOLERANCE = 1e-9  # Distance over the duration below which times are equal up to rounding
+ACTIVE_SHARE = 0.1  # Change of acceleration, over the largest one, above which pieces are short
 
 
 def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:

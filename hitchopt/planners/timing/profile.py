@@ -28,14 +28,12 @@ from hitchopt.values import Array, Indices
 
 T = TypeVar("T")
 
-LIMIT_SHARE = 0.999
-"""Fraction of the limits at samples, with a reserve for the times between."""
+LIMIT_SHARE = 0.999  # Fraction of the limits at samples, with a reserve for the times between
 
 FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
 """Share of the limits for the polynomials' enclosures; the rest is for the certificate's bounds."""
 
-CHUNK = 64_000
-"""Number of rays of drones per chunk, whose temporary arrays fit into a core's cache."""
+CHUNK = 64_000  # Number of rays of drones per chunk, whose temporary arrays fit into a core's cache
 
 
 class RaySlowness(NamedTuple):
@@ -45,17 +43,11 @@ class RaySlowness(NamedTuple):
     cancellation, ``1 / ρ = -b / c + √((b / c)² - a / c)``.
     """
 
-    acceleration: Array
-    """(J, 2n, 3): coefficients of (u², 2 u x, x²) in the squared inverse factor."""
-
+    acceleration: Array  # (J, 2n, 3): coefficients of (u², 2 u x, x²) in the squared inverse factor
+    # (2, J, 2n, 3): coefficients of (u², 2 u x, x²) in the radicands of thrust and tilt
     radicands: Array
-    """(2, J, 2n, 3): coefficients of (u², 2 u x, x²) in the radicands of thrust and tilt."""
-
-    slopes: Array
-    """(2, J, 2n, 2): coefficients of (u, x) in -b / c of thrust and tilt."""
-
-    infeasible_at_rest: NDArray[np.bool_]
-    """(J, 2n): whether rest violates a limit."""
+    slopes: Array  # (2, J, 2n, 2): coefficients of (u, x) in -b / c of thrust and tilt
+    infeasible_at_rest: NDArray[np.bool_]  # (J, 2n): whether rest violates a limit
 
     def of_rays(self, u: Array, x: Array) -> Array:
         """Return the largest inverse factors (J, m) of rays (u, x), (J, m) each."""
@@ -73,24 +65,16 @@ class RaySlowness(NamedTuple):
 class Demands:
     """Jets along a path and the loads at rest, at J points."""
 
+    # (J, 2n, 3, 4) [m]: positions and derivatives with respect to the path's parameter
     drones: Array
-    """(J, 2n, 3, 4) [m]: positions and derivatives with respect to the path's parameter."""
-
-    vertex_speed: Array
-    """(J,) [m]: largest first derivative of a vertex."""
-
+    vertex_speed: Array  # (J,) [m]: largest first derivative of a vertex
     loads: Array
     """(J, 2n, 3) [N]: thrusts at rest, which balance weight and cable force; (J, 0, 3) for drones
     whose limit of acceleration is within those of thrust and tilt."""
 
-    team: Team
-    """The team, with masses and largest thrusts."""
-
-    limits: Limits
-    """Limits of motion."""
-
-    share: float = LIMIT_SHARE
-    """Enforced fraction of the limits."""
+    team: Team  # The team, with masses and largest thrusts
+    limits: Limits  # Limits of motion
+    share: float = LIMIT_SHARE  # Enforced fraction of the limits
 
     @classmethod
     def along(cls, path: FlatPath, limits: Limits, s: Array) -> Demands:
@@ -303,14 +287,9 @@ def _products(pair: Array) -> Array:
     return pair[..., [0, 0, 1]] * pair[..., [0, 1, 1]]
 
 
-MIN_RATE = 1e-12
-"""Smallest rate by which limits of speed and acceleration are divided."""
-
-MIN_PATH_LENGTH = 1e-2
-"""Smallest length of a path in toppra's units."""
-
-MAX_PATH_LENGTH = 1e9
-"""Largest length of a path in toppra's units."""
+MIN_RATE = 1e-12  # Smallest rate by which limits of speed and acceleration are divided
+MIN_PATH_LENGTH = 1e-2  # Smallest length of a path in toppra's units
+MAX_PATH_LENGTH = 1e9  # Largest length of a path in toppra's units
 
 RAYS = 64
 """Number of directions in the half plane of (s̈, ṡ² ≥ 0); chords cut off 0.03 % of a circle."""
@@ -337,11 +316,8 @@ def path_grid(steps: int) -> Array:
 class SpeedProfile:
     """The fastest motion along a path without a jerk limit."""
 
-    s: Array
-    """(J,): the grid from 0 to 1."""
-
-    speed: Array
-    """(J,) [1/s]: ṡ on the grid; s̈ is constant between."""
+    s: Array  # (J,): the grid from 0 to 1
+    speed: Array  # (J,) [1/s]: ṡ on the grid; s̈ is constant between
 
     @cached_property
     def times(self) -> Array:
@@ -392,14 +368,9 @@ class SpeedProfile:
 class FeasiblePolygons(NamedTuple):
     """Inner approximations of the feasible (s̈, ṡ²) at J points of a path."""
 
-    corners: Array
-    """(2, J, RAYS + 1): from the largest s̈ at ṡ = 0 to the smallest."""
-
-    acceleration: Array
-    """(J,) [1/s²]: magnitude of s̈."""
-
-    squared_speed: Array
-    """(J,) [1/s²]: magnitude of ṡ²."""
+    corners: Array  # (2, J, RAYS + 1): from the largest s̈ at ṡ = 0 to the smallest
+    acceleration: Array  # (J,) [1/s²]: magnitude of s̈
+    squared_speed: Array  # (J,) [1/s²]: magnitude of ṡ²
 
     def at(self, points: slice) -> FeasiblePolygons:
         """Return the polygons at some of the points."""

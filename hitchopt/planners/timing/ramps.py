@@ -17,8 +17,7 @@ from hitchopt.trajectory.clock_phases import advance
 from hitchopt.trajectory.piecewise import divided
 from hitchopt.values import Array
 
-MIN_PHASE = 5e-4
-"""[s] Shortest phase whose derivatives are accurate."""
+MIN_PHASE = 5e-4  # [s] Shortest phase whose derivatives are accurate
 
 LIMIT_FACTORS = (1.0, 0.98, 0.96)
 """Factors of limits that avoid shorter phases, in the order of the search."""
@@ -27,11 +26,8 @@ LIMIT_FACTORS = (1.0, 0.98, 0.96)
 class RampTimes(NamedTuple):
     """Times of N straight flights from rest to rest."""
 
-    durations: Array
-    """(N,) [s]"""
-
-    rises: Array
-    """(N,) [s]: times in which the speed rises to its peak, and in which it falls."""
+    durations: Array  # (N,) [s]
+    rises: Array  # (N,) [s]: times in which the speed rises to its peak, and in which it falls
 
 
 def fastest_ramps(

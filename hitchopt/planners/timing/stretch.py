@@ -37,26 +37,16 @@ IN_ROWS = frozenset({"speed", "acceleration", "jerk", "vertex_speed"})
 SLOWED = tuple(rule for rule in RULES if rule.ease == "time" and rule.name not in IN_ROWS)
 """Further limits that slower motion keeps."""
 
-SPANS = 8
-"""Number of spans of a piece. They enclose rates to within about 0.1 %."""
-
-SPAN_COEFFICIENTS = 8
-"""Number of coefficients on each span, as of the drones' septic pieces."""
+SPANS = 8  # Number of spans of a piece. They enclose rates to within about 0.1 %.
+SPAN_COEFFICIENTS = 8  # Number of coefficients on each span, as of the drones' septic pieces
 
 FORCE_STRETCH_SHARE = 0.9
 """Estimated stretch for forces, over that for rates, below which it is not computed."""
 
-CHUNK = 60_000
-"""Number of coefficients of drones per chunk."""
-
-MAX_STRETCH = 1e6
-"""Largest stretch of the search."""
-
-STRETCH_TOLERANCE = 1e-4
-"""Relative tolerance of a stretch."""
-
-ROUNDING = 1e-9
-"""Relative difference of rates within which they may be equal."""
+CHUNK = 60_000  # Number of coefficients of drones per chunk
+MAX_STRETCH = 1e6  # Largest stretch of the search
+STRETCH_TOLERANCE = 1e-4  # Relative tolerance of a stretch
+ROUNDING = 1e-9  # Relative difference of rates within which they may be equal
 
 
 def needed_stretch(motion: Motion) -> float:

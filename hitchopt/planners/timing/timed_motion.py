@@ -52,14 +52,9 @@ def check_duration(duration: float, fastest: float, *steps: StepPlace) -> None:
         )
 
 
-TIMING_GRID = 160
-"""Number of steps of toppra's grid along the path."""
-
-MAX_CABLE_ERROR = 1e-6
-"""Largest relative error of a cable's length, a hundredth of LENGTH_LIMIT."""
-
-MAX_PIECES = 400
-"""Number of pieces at which refinement for MAX_CABLE_ERROR ends."""
+TIMING_GRID = 160  # Number of steps of toppra's grid along the path
+MAX_CABLE_ERROR = 1e-6  # Largest relative error of a cable's length, a hundredth of LENGTH_LIMIT
+MAX_PIECES = 400  # Number of pieces at which refinement for MAX_CABLE_ERROR ends
 
 MIN_RAMP_SHARE = 1e-5
 """Shortest ramp of the acceleration over the duration; polynomials do not resolve shorter ones."""
@@ -131,8 +126,7 @@ MAX_PEAK = 1.003
 """Largest jerk between samples over its limit; beyond, pieces with such peaks are slowed down.
 A whole flight that is stretched for a peak takes longer by a third of its excess."""
 
-MAX_PEAK_ROUNDS = 2
-"""Maximum number of clocks with smaller peaks that are tried."""
+MAX_PEAK_ROUNDS = 2  # Maximum number of clocks with smaller peaks that are tried
 
 
 def _without_peaks(
