@@ -46,7 +46,6 @@ from hitchopt.planners.path import Path as Path
 from hitchopt.stages import route as route, time as time
 from hitchopt.steps.carrying import *
 from hitchopt.steps.moving import *
-from hitchopt.steps.straddling import *
 from hitchopt.steps.tying import *
 from hitchopt.steps.flying import Fly as Fly
 

@@ -7,7 +7,6 @@ the separation of the drones.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,18 +20,13 @@ from hitchopt.drones.quadrotor import Quadrotor, kinds_of
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
-from hitchopt.geometry.vectors import length
-from hitchopt.hitch.holding import SUGGESTIONS, Capacity, Grip, grip_capacity
+from hitchopt.hitch.holding import Capacity, Grip
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm, Team
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.planners.candidates import Candidate, Effort, first_certified, outcome
-from hitchopt.planners.carrying.hinge import clasp_height, needed_height
-from hitchopt.planners.carrying.holds import GripHold
-from hitchopt.planners.carrying.planner import tying_tension
-from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, HoldPolygons, best_grip
-from hitchopt.planners.carrying.straddle_planner import find_straddle
+from hitchopt.planners.candidates import outcome
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN, HoldPolygons
 from hitchopt.planners.grasps import (
     Heaviest,
     HoldJudge,
@@ -41,7 +35,7 @@ from hitchopt.planners.grasps import (
     shortest_judge,
 )
 from hitchopt.values import integer, points, positive, sequence
-from hitchopt.values.fields import Key, Record, suggest_keywords, with_fields
+from hitchopt.values.fields import Key, Record, suggest_keywords
 from hitchopt.values.units import (
     CABLE_LENGTH,
     DENSITY,
@@ -55,12 +49,8 @@ from hitchopt.values.units import (
 GRIP = "grip"  # Method of holding an object by cables that are wrapped around it
 REST = "rest"  # Method of holding an object whose rim lies on the clasps
 OBJECT = "object"  # Name of the object
-SAFETY = 1.5  # Smallest ratio of slip load to load
 MAX_ROBOTS = 24  # Limited by memory for pairs of parts of a grip
 TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
-TIED_STEP = 0.2  # Step of the lengths of two cables [m]
-TIED_STEPS = 15  # Number of lengths of two cables that are tried
-
 CENTRED = 1e-9  # Distance of a centroid from the origin that is rounding [m]
 CIRCLE_ANGLES = np.pi * np.arange(24) / 12.0
 CIRCLE = np.column_stack([np.cos(CIRCLE_ANGLES), -np.sin(CIRCLE_ANGLES)]) / np.cos(np.pi / 24.0)
@@ -148,11 +138,6 @@ class Holding(OneLine):
     rest: ConvexPolygon | InfeasibleError
     grip_capacity: Capacity
     rest_capacity: Capacity
-
-    @property
-    def tied_at(self) -> float | None:
-        """Height above the base at which two cables are tied [m]; None for more."""
-        return _tied_at(self.task) if self.robots == 2 else None
 
     def capacity(self, by: str) -> Capacity:
         """Return the largest mass that is held by ``grip`` or ``rest``."""
@@ -271,9 +256,7 @@ def fit(
         mass=mass,
     )
     numbers = sorted({robots, *compared})
-    holding = _tied(task) if robots == 2 else _holding(task, robots)
-    if holding.tied_at is not None:
-        notes.append(f"two cables are tied {holding.tied_at:.3g} m above the base")
+    holding = _holding(task, robots)
     others = {n: holding if n == robots else outcome(partial(_holding, task, n)) for n in numbers}
     return Fit(section, holding, others, tuple(notes))
 
@@ -427,49 +410,6 @@ def _objects(task: FitTask, by: HoldBy) -> dict[str, SolidObject]:
     stem = Section(radius=task.stem) if is_centred else Section(centre + task.stem * CIRCLE)
     rim = Rim(task.section, task.height)
     return {OBJECT: SolidObject(stem, 0.0, task.height, friction=friction, rim=rim)}
-
-
-def _tied_at(task: FitTask) -> float:
-    """Return the height above the base at which two cables are tied [m]."""
-    body = SolidObject(task.section, 0.0, task.height)
-    return clasp_height(body, task.requirements)
-
-
-def _tied(task: FitTask) -> Holding:
-    """Return the grip of two cables, and their length if none is stated: the shortest that ties.
-
-    InfeasibleError: no length can be tied, or the object would fall over its two clasps.
-    """
-    body = SolidObject(task.section, 0.0, task.height, friction=task.friction)
-    requirements = replace(task.requirements, objects={"object": body})
-    core = task.section.core
-    girth = float(np.sum(length(np.roll(core, -1, axis=0) - core)))
-    girth += 2.0 * np.pi * task.section.rounding
-    shortest = 0.5 * girth + 2.0 * requirements.limits.leg
-    steps = math.ceil(shortest / TIED_STEP) + np.arange(TIED_STEPS)
-    lengths = [task.cable_length] if task.cable_length else np.round(TIED_STEP * steps, 9).tolist()
-    height = _tied_at(task)
-    if height < (needed := needed_height(body, requirements)):
-        remedy, when = "use three robots, or a higher object", "of two clasps above its base"
-        violation = Violation("hinge", height, needed, "min", "m", (), when, remedy)
-        raise InfeasibleError([violation])
-
-    def tied(cable: float) -> Holding:
-        """Return the grip of cables of a length [m]."""
-        kind, T, friction = task.kind, task.tension, task.clasp_friction
-        team = Team(2, cable, cable_density=task.cable_density, tension=T, quadrotor=kind)
-        team = with_fields(team, cable_friction=friction)
-        request = GripTask(task.section, 2, cable, T, friction, requirements, kind)
-        grip = best_grip(request)
-        hold = GripHold.tied(team, body, grip.vertices, height)
-        find_straddle("object", hold, np.full(2, tying_tension(team)), requirements)
-        capacity = grip_capacity(grip, kind, task.friction, SAFETY)
-        violation = Violation("robots", 2, 3, "min", "", (), "", SUGGESTIONS["robots"])
-        rest = InfeasibleError([violation], "two cables cannot support a rim at three points")
-        return Holding(task, 2, None, cable, grip, rest, capacity, _zero_capacity(rest))
-
-    candidates = (Candidate("cable length", partial(tied, cable)) for cable in lengths)
-    return first_certified(candidates, Effort())
 
 
 def _zero_capacity(error: InfeasibleError) -> Capacity:

@@ -16,7 +16,6 @@ class Feature(StrEnum):
     """What a user requests: the rows of the table, and the subjects of messages."""
 
     LAYING = "laying and rolling"
-    TWO_CABLES = "tying two cables around an object"
     HOLDING = "holding an object"
     GRIPPING = "gripping an object"
     COST = "a custom cost"
@@ -117,11 +116,6 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         "laying and rolling do not support loads, which hang from clasps, while cables only lie "
         "on one another",
         "omit team.load",
-    ),
-    (Feature.TWO_CABLES, Neighbour.CHAINS): Refusal(
-        "closed where cables are tied around an object",
-        "leave team.topology out",
-        key="topology",
     ),
     (Feature.HOLDING, Neighbour.CHAINS): Refusal(
         "closed if objects are held", "close it", key="team.topology"

@@ -303,12 +303,11 @@ def _end_deviation(motion: Motion) -> WorstCase:
     """Return the distance of tensions from the team's at ends of phases that state a range.
 
     Ends at which an object is held before and after are excluded: all steps of a grasp share its
-    range. So are bent cables, which are held by the tension at which they are tied.
+    range.
     """
     ranged = np.concatenate([[-1], ranged_phases(motion), [-1]])  # with none before and after
     holding = np.pad(motion.holding, 1, mode="edge")
-    bent = motion.in_states(frozenset({CableState.BENT}))
-    states_range = (ranged[1:-1] >= 0) & motion.taut & ~bent
+    states_range = (ranged[1:-1] >= 0) & motion.taut
     errors = np.abs(motion.tensions.coefficients[..., [0, -1]] - motion.team.tension[:, None])
     deviations = np.zeros((motion.drones.pieces + 1, motion.team.robots))
     for end, neighbour in ((0, slice(0, -2)), (1, slice(2, None))):

@@ -14,14 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, with_tolerance
-from hitchopt.checks.drone_forces import leg_sags
 from hitchopt.checks.friction import friction_excess, leg_excess
 from hitchopt.checks.grips import missing_force, unbalanced
 from hitchopt.checks.objects import select
@@ -39,7 +37,7 @@ from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
-from hitchopt.motion.motion import HITCHED_STATE, OPEN_STATES, CableState, Motion
+from hitchopt.motion.motion import HITCHED_STATE, OPEN_STATES, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -497,62 +495,6 @@ def spare_forces(motion: Motion) -> Array:
     return min(spare_residual, spare_contact) * lowest_tensions
 
 
-BENT = frozenset({CableState.BENT})
-PASSED_SHARE = 0.4  # Largest fraction of a cable's weight at a clasp that the other cable bears
-
-
-class LegEnds(MotionSpans):
-    """Spans of the inner ends of legs of cables that are taut on their own."""
-
-    names = staticmethod(attrgetter("team.drone_names"))
-
-
-def _kink(spans: LegEnds) -> Bound:
-    """Return the force that is missing where a leg meets its edge, over the tension.
-
-    Leg and edge pull on the point between them, which carries half of their weights. Both are
-    chords of one sagging cable: horizontal forces of second order, the square of half of the
-    cable's weight over its tension, are not counted, nor is PASSED_SHARE of the weight on the
-    point, which the other cable of a clasp may bear.
-    """
-    motion = spans.source
-    cable, end = np.divmod(spans.item, 2)
-    is_q_leg = (end == 0)[:, None, None]
-    legs = leg_vectors(motion)
-    leaving, arriving = bent_edges(motion)
-    along_edge = np.where(is_q_leg, spans.read(leaving, cable), spans.read(arriving, cable) * -1.0)
-    leg = Enclosed(spans.read(legs), spans.noise)
-    edge = Enclosed(along_edge, spans.noise)  # from the point
-    other_leg = Enclosed(spans.read(legs, spans.item ^ 1), spans.noise).norm
-    half_density, tension = spans.scalars(leg_sags(motion))
-    cable_length = Enclosed(motion.team.cable_length[cable][:, None, None])
-    wrapped = cable_length - leg.norm - other_leg
-    leg_pull = chord_pull(tension, half_density, leg.xy.dot(leg.xy), leg[2])
-    edge_pull = chord_pull(tension, half_density, wrapped * wrapped)
-    weight = half_density * (cable_length - other_leg)
-    missing = leg.direction * leg_pull + edge.direction * edge_pull - weight.along_z()
-    smallest_tension = tension.lower.value
-    taut = smallest_tension > 0.0
-    divisor = np.where(taut, smallest_tension, 1.0)
-    second_order = ((half_density * cable_length).upper.value / divisor) ** 2
-    level = missing.xy.norm_upper
-    missing_level = np.maximum(level.value / divisor - second_order, 0.0)
-    passed_weight = PASSED_SHARE * weight.lower.value
-    missing_upright = np.maximum(missing[2].norm_upper.value - passed_weight, 0.0) / divisor
-    return Bound(np.where(taut, np.hypot(missing_level, missing_upright), np.inf), level.x)
-
-
-def _bent_residual(motion: Motion, limit: float) -> WorstCase:
-    """Return the largest missing force of cables that are taut on their own, over the tension.
-
-    It is that where legs meet edges, and that on the object around which they bend.
-    """
-    largest = worst(LegEnds.of(motion), _kink, "max", target=with_tolerance(limit, "max"))
-    where = (motion.team.drone_names[largest.item],)
-    cases = WorstCase(largest.worst, largest.time, where), unbalanced(motion)
-    return max(cases, key=lambda case: case.worst)
-
-
 FORMULAS = (
     _balance,
     Clasps.residual,
@@ -580,10 +522,7 @@ EQUILIBRIUM = CheckRule(
     "ratio",
     "max",
     BALANCE_LIMIT,
-    (
-        Evaluator(_worst_residual, HITCHED_STATE, formulas=FORMULAS),
-        Evaluator(_bent_residual, BENT, formulas=(_kink,)),
-    ),
+    (Evaluator(_worst_residual, HITCHED_STATE, formulas=FORMULAS),),
     remedy_at=_balance_remedy,
     group="forces",
     bodies=(("clasps",),),

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hitchopt.checks.certificate import with_tolerance
-from hitchopt.checks.clasps import both_cables, clasp_names
+from hitchopt.checks.clasps import clasp_names
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
-from hitchopt.checks.spans import MotionSpans, bent_edges, cached, edge_vectors
+from hitchopt.checks.spans import MotionSpans, cached, edge_vectors
 from hitchopt.geometry.vectors import turn
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory.enclosed import Bound, Enclosed
@@ -24,12 +24,8 @@ ANGLE_ROUNDING = 1e-6  # [deg] Rounding of the sum of all angles
 def _corners(motion: Motion) -> Array:
     """Return the horizontal edges behind and ahead of corners (pieces, corners, 2, 2, …).
 
-    A chain has an additional corner between its last edge and the reversed first one. Those of two
-    cables are the straight parts that end at the object between them.
+    A chain has an additional corner between its last edge and the reversed first one.
     """
-    if motion.team.layout.closed and motion.team.robots == 2:
-        leaving, arriving = bent_edges(motion)
-        return np.stack([arriving[:, both_cables(motion)[:, 1], :2], leaving[:, :, :2]], axis=2)
     layout = motion.team.layout
     edges = edge_vectors(motion)[:, :, :2]
     at_clasps = np.stack([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)

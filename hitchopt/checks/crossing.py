@@ -48,8 +48,7 @@ def upright_pieces(motion: Motion) -> Flags:
 def _taut_parts(motion: Motion) -> Iterator[Moving]:
     """Yield the pairs of parts that share no clasp.
 
-    These include the two legs of one cable, which may cross. Bent cables share no clasp; an object
-    that they hold keeps them apart, as the check ``interlacing`` verifies.
+    These include the two legs of one cable, which may cross.
     """
     parts = taut_parts(motion)
     table = TautBodies.of(motion.team.layout)
@@ -60,11 +59,6 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
         return flags
 
     yield Moving.between(motion, parts, allowed=share_no_clasp)
-    if motion.has_bent_cables:
-        bent = motion.in_states(frozenset({CableState.BENT}))
-        bodies = replace(parts, pieces=bent & ~motion.holding)
-        cable = parts.part // 3
-        yield Moving.between(motion, bodies, allowed=lambda i, j: cable[i] != cable[j])
 
 
 def _hanging_cables(motion: Motion) -> Iterator[Moving]:

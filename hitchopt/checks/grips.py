@@ -1,4 +1,4 @@
-"""Gripped objects: checks ``grip``, ``yaw`` and ``hinge``, forces of edges, and lengths of arcs.
+"""Gripped objects: checks ``grip`` and ``yaw``, forces of edges, and lengths of arcs.
 
 Edge k is straight from ``p_k`` to the object, along ``â_k``, turns there by ``θ_k``, seen from
 above, and is straight to ``p_{k+1}``, along ``b̂_k``. It pulls with ``T_k (b̂_k - â_k)``, and
@@ -429,46 +429,6 @@ YAW = CheckRule(
     unproven="how far the object turns before it is lifted",
 )
 """Two cables that clasp next to an object's sides turn it about its corners."""
-
-
-MIN_HINGE = 0.03  # [m] Height of two clasps above the centre of mass, in addition to errors
-
-
-def _hinge_limit(motion: Motion) -> float | None:
-    """Return the smallest height of the clasps of two cables above a centre of mass [m]."""
-    if not has_two_cables(motion) or not gripped_objects(motion):
-        return None
-    return MIN_HINGE + motion.requirements.limits.tube.largest
-
-
-def has_two_cables(motion: Motion) -> bool:
-    """Return whether a closed hitch has only two cables."""
-    return motion.team.layout.closed and motion.team.robots == 2
-
-
-def hinge_height(spans: Gripped) -> Bound:
-    """Return the height of the lowest clasp above the centre of mass [m]; infinite at no load."""
-    clasps = Enclosed(spans.of_items(spans.source.vertices.coefficients), spans.noise)
-    heights = (clasps - add_axis(spans.centre))[2].lower.value
-    is_carried = np.any(spans.share.c > 0.0, axis=(1, 2))
-    lowest = np.where(is_carried, np.min(heights, axis=-1), np.inf)
-    return Bound(lowest, np.full(len(lowest), 0.5))
-
-
-HINGE = CheckRule(
-    "hinge",
-    "m",
-    "min",
-    _hinge_limit,
-    (Evaluator(_smallest(hinge_height), HITCHED_STATE, formulas=(hinge_height,)),),
-    "tie higher above the centre of mass",
-    group="forces",
-    bodies=(("held",),),
-    proves="the smallest height [m] of two clasps above the centre of mass that they carry",
-    unproven="how far the object swings about them",
-)
-"""Two clasps are a hinge: an object hangs upright from them, but falls over if its centre of mass
-is above them."""
 
 
 @cached

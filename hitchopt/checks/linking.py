@@ -85,8 +85,6 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     for span in motion.spans(TAUT_STATES):
         curves.append((span.vertices, span.team.point_names))
         curves.append((span.legs.reshaped(-1, 1), leg_names))
-        if span.has_bent_cables:
-            curves.append((span.inner_ends.reshaped(-1, 3), leg_names))
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for curve, names in curves:
         jumps = _jumps(curve, position_margin(motion))
@@ -329,8 +327,6 @@ class Ties:
         after: CableState | None,
     ) -> Flags:
         """Update the ties in one of LAID_STATES, and return invalid pairs (clasps,)."""
-        if state is CableState.BENT:
-            return self.bend(motion, before, after)
         if state is CableState.LAYING:
             return self.lay(motion, before, after)
         return self.roll(motion, after)

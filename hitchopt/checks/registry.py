@@ -44,7 +44,6 @@ RULES = (
     clearance.OBJECT_CLEARANCE,
     grips.GRIP,
     grips.YAW,
-    grips.HINGE,
     support.SUPPORT,
     losses.LOSS_DISPLACEMENT,
     losses.SURVIVABLE,

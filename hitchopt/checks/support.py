@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.checks.grips import Gripped, has_two_cables
+from hitchopt.checks.grips import Gripped
 from hitchopt.checks.objects import (
     PLACE_TOLERANCE,
     Held,
@@ -97,17 +97,13 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
 
     It is minus infinity if an object moves or is carried without a hold, if it floats, if its
     heading is not a unit vector, if holding clasps do not surround it or have left their positions,
-    or if it would slide. Two cables must not push over an object as they are tied around it.
+    or if it would slide.
     """
     size = magnitude(motion)
     cases = [WorstCase(math.inf, 0.0, size=size)]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         support = _ObjectSupport.of(motion, index, name, body)
         invalid = support.invalid_pieces()
-        if has_two_cables(motion) and not body.fixed:
-            stands = support.gripped & ~support.carried & ~support.moves
-            pressed = worst(Gripped.of_object(motion, index, stands), foot, "min")
-            cases.append(WorstCase(pressed.worst, pressed.time, (name,), size))
         rests = support.resting & support.carried & support.fully_carried & ~invalid
         smallest = worst(Resting.of_object(motion, index, rests), force_line, "min")
         cases.append(WorstCase(smallest.worst, smallest.time, (name,), size))

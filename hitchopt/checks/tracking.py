@@ -23,7 +23,7 @@ It follows from the bounds of the checks, which hold for all t, and the ``bodies
 Only pairs of drones at different heights, spans of free cables, hanging cables, and what is below
 drones are bounded separately. Other checks do not enter: constant errors change no rate; forces and
 shapes of displaced hitches are not bounded; cables that keep their distances do not pass through
-each other; the limit of ``hinge`` contains ``limits.tracking``.
+each other.
 """
 
 from __future__ import annotations

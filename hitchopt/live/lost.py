@@ -134,8 +134,6 @@ class Reactions:
         """Return the certified motion after a loss at a time [s]."""
         if self.motion.team.has_cables and self.motion.requirements.objects:
             reason = str(REFUSALS[Feature.REACTION, Neighbour.OBJECTS])
-            if self.motion.team.robots == 2 and self.motion.team.layout.closed:
-                reason += "; two cables need all four drones: their load falls"
             raise _no_reaction(time, reason)
         reasons = list[str]()
         for delay in STOP_DELAYS:

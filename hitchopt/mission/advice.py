@@ -26,10 +26,6 @@ WIDENED = names_of(rule for rule in RULES if rule.pairs)
 """Checks of distances that ``limits.tracking`` increases."""
 
 
-OF_TWO = frozenset({"hinge", "tracking_radius"})
-"""Checks that errors in height break where two cables are tied around an object."""
-
-
 def with_tracking_advice(
     error: InfeasibleError, requirements: Requirements, team: Team
 ) -> InfeasibleError:
@@ -47,11 +43,6 @@ def with_tracking_advice(
         )
     else:
         advice = f"lower limits.tracking, but only to measured errors: {tube} adds to this distance"
-    of_two = (
-        "two cables can rarely be tied if vertical tracking errors exceed horizontal ones, here "
-        f"{tube}: set limits.tracking to {tube.level:g} if it was measured"
-    )
-    tied_by_two = team.has_cables and team.layout.closed and team.robots == 2
     violations = list[Violation]()
     for each in error.violations:
         in_reach = (
@@ -59,9 +50,6 @@ def with_tracking_advice(
         )  # of two bodies
         if each.constraint in WIDENED and in_reach:
             violations.append(replace(each, remedy=_remedy(each, advice)))
-        elif each.constraint in OF_TWO and tied_by_two and tube.ratio > 1.0:
-            own = f"{each.remedy}; " if each.constraint == "hinge" else ""
-            violations.append(replace(each, remedy=own + of_two))
         elif each.constraint == "tracking_radius" and stiffer:
             violations.append(replace(each, remedy=_remedy(each, stiffer)))
         else:

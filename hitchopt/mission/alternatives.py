@@ -122,13 +122,10 @@ RIM_OVERHANG = 0.03  # [m] Overhang over the body of rims that suggestions try
 
 
 def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
-    """Yield rims at the ceilings of objects for which no grip was found.
-
-    Three or more robots rest objects with rims on their cables; two grip every object.
-    """
+    """Yield rims at the ceilings of objects for which no grip was found."""
     for name, body in problem.objects.items():
         ungripped = any(v.object == name and v.reason is Reason.NO_GRIP for v in violations)
-        if problem.team.robots == 2 or not ungripped:
+        if not ungripped:
             continue
         wider = body.section.widened(RIM_OVERHANG)
         radius = math.sqrt(body.section.area / math.pi)

@@ -11,7 +11,6 @@ import numpy as np
 from hitchopt.errors import InputError, RequestError
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.mission.changes import size_of
-from hitchopt.mission.knobs import two_cable_tension
 from hitchopt.mission.problem import Problem
 from hitchopt.motion.motion import HoldBy
 from hitchopt.planners.candidates import if_feasible
@@ -55,8 +54,7 @@ def fitting_tensions(problem: Problem) -> list[float]:
     kinds = problem.team.quadrotor
     largest_pull = min(kind.level_pull(problem.limits.tilt)[0] for kind in kinds)
     tensions = min(kind.tension for kind in kinds), PULL_SHARE * largest_pull
-    smallest = two_cable_tension(problem)
-    return [tension for tension in tensions if tension > 0.0 and tension >= smallest]
+    return [tension for tension in tensions if tension > 0.0]
 
 
 def fitting_cables(problem: Problem) -> list[float]:
@@ -66,8 +64,6 @@ def fitting_cables(problem: Problem) -> list[float]:
     and those below rims. For objects to be gripped, only the lengths that grip them are returned.
     """
     team = problem.team
-    if team.robots == 2:
-        return []
     mission = problem.teams[""]
     outline = mission.start_outline
     outlines = [] if outline is None else [outline]

@@ -12,7 +12,6 @@ import numpy as np
 
 from hitchopt.checks.registry import RULE_OF_KEY, distances_of, names_of
 from hitchopt.errors import Violation
-from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.changes import constraint_name, in_step, quadrotor_keys
 from hitchopt.mission.problem import Problem
@@ -49,9 +48,6 @@ DISTANCE_CHECKS = names_of(distances_of("drones", "cables")) | {
 LOAD_CHECKS = frozenset({"load"})  # Constraints that a higher tension or a lighter object repairs
 GRIP_CHECKS = frozenset({"grip"})  # Constraints that a higher tension or a rougher object repairs
 MAX_FRICTION = 1.0  # Maximum coefficient of friction of suggestions
-
-WEIGHT_SHARE = 0.4
-"""Tension of two cables that hold an object, over its weight divided by its friction."""
 
 MAX_TILT_DEG = 80.0  # Maximum tilt of suggestions [deg]
 
@@ -102,9 +98,6 @@ def _step_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
                 knob, problem.objects, names, problem.requirements.separation
             )
             min_size = max(min_size, increase)
-            if "hinge" in knob.covers:
-                lacking = (v.limit - v.value for v in violations if v.constraint == "hinge")
-                min_size = max(0.0, *lacking, 0.0) / knob.old
             yield replace(knob, key=key, make_edits=make_edits, min_size=min_size)
 
 
@@ -152,30 +145,15 @@ def _team_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     covers = SPACE_CHECKS | TIME_CHECKS | DURATION_CHECKS | {"arena"}
     yield replace(polygons, sign=-1, covers=covers)
     yield polygons
-    held_by = two_cable_tension(problem) / float(np.max(problem.team.tension))
-    yield replace(tension, sign=-1, covers=FORCE_CHECKS, max_size=max(0.0, 1.0 - held_by))
+    yield replace(tension, sign=-1, covers=FORCE_CHECKS, max_size=1.0)
     holding = LOAD_CHECKS | GRIP_CHECKS
-    min_size = max(_min_size(violations, "load"), held_by - 1.0)
-    yield replace(tension, covers=holding, min_size=min_size)
+    yield replace(tension, covers=holding, min_size=_min_size(violations, "load"))
     if np.any(problem.team.load > 0.0):
         covers = LOAD_CHECKS | FORCE_CHECKS | DISTANCE_CHECKS
         yield replace(_team_values(problem, "load", "kg"), sign=-1, covers=covers)
     thrust = _team_values(problem, "max_thrust", "N")
     key = "team.quadrotor.max_thrust" if thrust.unit == "N" else "team.quadrotor"
     yield replace(thrust, key=key, covers=DURATION_CHECKS | {"thrust"})
-
-
-def two_cable_tension(problem: Problem) -> float:
-    """Return the tension [N] that two cables need to hold the objects of the mission; 0 if none.
-
-    It is that of docs/how_to/carry.md, with which objects hang safely in simulation.
-    """
-    handled = {step.object_name for step in problem.mission}
-    bodies = [body for name, body in problem.objects.items() if name in handled and not body.fixed]
-    if problem.team.robots != 2:
-        return 0.0
-    needed = (WEIGHT_SHARE * GRAVITY * x.mass / x.friction for x in bodies if x.friction > 0.0)
-    return max(needed, default=0.0)
 
 
 def _team_values(problem: Problem, name: str, unit: str) -> Knob:

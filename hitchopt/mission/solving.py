@@ -40,7 +40,6 @@ from hitchopt.planners.task import RestState, StepPlan, StepTask
 from hitchopt.steps.blended import plan_blended
 from hitchopt.steps.hitch_step import NonstopStep
 from hitchopt.steps.step import Step
-from hitchopt.values import Array
 
 AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
 
@@ -220,21 +219,7 @@ def _start_state(mission: TeamMission, requirements: Requirements, report: Progr
         report("assigning robots to edges")
         with planners_faults():
             assignment = form.assignment(team, start.drones, requirements)
-    if team.layout.closed and team.robots == 2:
-        assignment = _assigned_sides(team, start.drones)
     return RestState(assignment.team(team), start.drones[assignment.drones])
-
-
-def _assigned_sides(team: Team, drones: Array) -> Assignment:
-    """Return the assignment of two cables with each of them on the right of the other one.
-
-    An object between them, where they start or where they are tied, is on the right of both.
-    """
-    pairs = drones.reshape(-1, 2, 3)[..., :2]
-    x, y = (pairs[:, 1] - pairs[:, 0]).T
-    u, v = (np.mean(pairs, axis=(0, 1)) - pairs[:, 0]).T
-    flipped = tuple((x * v - y * u > 0.0).tolist())
-    return replace(Assignment.fixed(team.robots), flipped=flipped)
 
 
 def _plan_group(

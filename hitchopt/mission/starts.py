@@ -143,10 +143,6 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
         places: Array = SWARM_PLACES.check("start", start)
         check_count("start", places, team)
         return places
-    if team.layout.closed and team.robots == 2 and not isinstance(start, DronesStart):
-        key = f"teams.{name}.robots" if name else "team.robots"
-        remedy = "start two robots with drones, and tie their cables around an object"
-        raise InputError(key, 2, "at least 3 if the start is a hitch", remedy)
     if not isinstance(start, Hitch):
         return start.resolved_for(team)
     if start.team is not team:

@@ -42,13 +42,6 @@ def resolved_steps(
                 expected = words_of(team)
                 other = Circumstance(f"{name or 'this'} is {expected.kind}")
                 raise InputError("", other, expected.step, f"use {expected.step}")
-            is_two = team.layout.closed and team.robots == 2
-            if is_two and not unresolved.of_two_robots:
-                names = ", ".join(kind.name for kind in STEPS if kind.of_two_robots)
-                bound = f"one of {names}, the steps of two robots"
-                other = Circumstance("it takes three robots or more")
-                remedy = f"two cables can only hold an object: use {bound}"
-                raise InputError("", other, bound, remedy)
             step = unresolved.resolved_for(team)
             stage = stage.after(step, objects)
             before = outline

@@ -42,7 +42,6 @@ class CableState(StrEnum):
     - ``ROLLING``: pairs of cables cross without a clasp, or roll between crossing and clasp, with
       all vertices at rest.
     - ``DRAWN``: a hanging cable's drones move apart, at rest in height, until it is straight.
-    - ``BENT``: each cable is taut on its own and bends around one side of an object.
     - ``LOOSE``: cables hold each other, and none is taut since another one was lost at the start.
     """
 
@@ -54,7 +53,6 @@ class CableState(StrEnum):
     TIGHTENING = "being tightened"
     LAYING = "being laid"
     ROLLING = "rolling"
-    BENT = "bent around an object"
     LOOSE = "loose after a loss"
     HITCHED = "hitched"
 
@@ -62,7 +60,7 @@ class CableState(StrEnum):
 HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING})
 """States in which the hitch exists: vertices, legs and tensions have a meaning."""
 
-TAUT_STATES = HITCHED_STATE | {CableState.BENT}
+TAUT_STATES = HITCHED_STATE
 """States in which cables consist of taut parts, with a tension."""
 
 PULLING_STATES = TAUT_STATES | {CableState.TIGHTENING}
@@ -77,7 +75,7 @@ UNLINKED_STATES = frozenset({CableState.GROUND, CableState.FREE, CableState.DRAW
 
 OPEN_STATES = frozenset({CableState.ROLLING})  # States of a hitch in which clasps may be open
 
-LAID_STATES = OPEN_STATES | {CableState.LAYING, CableState.BENT}
+LAID_STATES = OPEN_STATES | {CableState.LAYING}
 """States in which neighbouring cables may lie across each other."""
 
 CLASPED_STATES = frozenset({CableState.CLASPING, CableState.TIGHTENING, CableState.LOOSE})
@@ -161,7 +159,7 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
 
 CURVES = (
     *("drones", "vertices", "legs", "tensions", "leg_tensions"),
-    *("poses", "load_share", "contacts", "anchors"),
+    *("poses", "load_share", "contacts"),
 )
 """Polynomial fields of every motion."""
 
@@ -170,7 +168,6 @@ SOURCES: dict[str, frozenset[str]] = {
     "poses": frozenset({"requirements", "drones"}),
     "load_share": frozenset({"requirements", "drones"}),
     "contacts": frozenset({"vertices", "team"}),
-    "anchors": frozenset({"vertices", "team"}),
 }
 """Curves that need not be passed, and the fields from which they follow without friction, wrapped
 edges and objects that move."""
@@ -207,8 +204,6 @@ class Motion(OneLine):
         support, the default) to 1.
     contacts: shape (n, 2, 3) [m], first and last point at which edge k touches the section that it
         is wrapped around, one point if straight; by default the edges' midpoints.
-    anchors: shape (n, 2, 3) [m], inner ends of the q- and the r-leg of each cable in the state
-        BENT. In all others legs end at the vertices (``inner_ends``), the default.
 
     Raises
     ------
@@ -226,7 +221,6 @@ class Motion(OneLine):
     poses: PiecewisePolynomial = PLAIN
     load_share: PiecewisePolynomial = PLAIN
     contacts: PiecewisePolynomial = PLAIN
-    anchors: PiecewisePolynomial = PLAIN
 
     def _parts(self) -> Iterator[str]:
         yield counted(self.team.drones, "drone")
@@ -245,7 +239,6 @@ class Motion(OneLine):
             "poses": (objects, 5),
             "load_share": (objects,),
             "contacts": (n, 2, 3),
-            "anchors": (n, 2, 3),
         }
         breaks = self.drones.breaks
         for name, shape in shapes.items():
@@ -295,9 +288,6 @@ class Motion(OneLine):
         if name == "contacts":
             middles = 0.5 * (vertices[:, layout.starts] + vertices[:, layout.ends])
             return self.vertices.replaced(np.stack([middles, middles], axis=2))
-        if name == "anchors":
-            shape = len(vertices), self.team.robots, 2, *vertices.shape[2:]
-            return self.vertices.replaced(vertices[:, layout.anchors].reshape(shape))
         objects = self.requirements.objects
         rest = poses_of(objects) if name == "poses" else np.zeros(len(objects))
         return PiecewisePolynomial.constant(self.drones.breaks, rest)
@@ -320,22 +310,14 @@ class Motion(OneLine):
     @lazy
     def has_wraps(self) -> bool:
         """Return whether any edge has contacts with an object; otherwise all edges are straight."""
-        return self.has_bent_cables or not self._is_plain("contacts")
-
-    @lazy
-    def has_bent_cables(self) -> bool:
-        """Return whether any cable is taut on its own and bent around an object."""
-        return CableState.BENT in self.cable_states
+        return not self._is_plain("contacts")
 
     @lazy
     def inner_ends(self) -> PiecewisePolynomial:
-        """(n, 2, 3) [m] Inner ends of legs: anchors in the state BENT, vertices in all others."""
-        plain = self._plain_curve("anchors")
-        if not self.has_bent_cables:
-            return plain
-        is_bent = self.in_states(frozenset({CableState.BENT}))[:, None, None, None, None]
-        anchors, vertices = same_degree(self.anchors.coefficients, plain.coefficients)
-        return plain.replaced(np.where(is_bent, anchors, vertices))
+        """(n, 2, 3) [m] Inner ends of legs, which are vertices."""
+        vertices = self.vertices.coefficients[:, self.team.layout.anchors]
+        shape = len(vertices), self.team.robots, 2, *vertices.shape[2:]
+        return self.vertices.replaced(vertices.reshape(shape))
 
     @property
     def pull_points(self) -> PiecewisePolynomial:

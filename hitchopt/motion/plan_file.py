@@ -26,7 +26,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.flight import Flight, TeamMotion
-from hitchopt.motion.motion import CURVES, JOINT, WAIT, CableState, Motion, Phase
+from hitchopt.motion.motion import CURVES, JOINT, WAIT, Motion, Phase
 from hitchopt.motion.request import PLANNER_ONLY, REMEDY, check_same, decoded, encoded, objects_at
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.stated_rules import StatedRule
@@ -154,14 +154,14 @@ def _records(motion: Motion) -> dict[str, Any]:
 
 def _arrays(motion: Motion) -> dict[str, NDArray[np.float64]]:
     """Return the arrays of one team's motion, drones and robots in the order of the problem."""
-    names = _stored_curves([*motion.cable_states])
+    names = CURVES
     curves = {name: getattr(motion, name).coefficients for name in names}
     if motion.team.assignment is not None:
         curves |= in_order(curves, motion.team.listed, motion.team.edges)
     return {"breaks": motion.drones.breaks, **curves}
 
 
-OF_DRONES = ("drones", "legs", "leg_tensions", "contacts", "anchors")
+OF_DRONES = ("drones", "legs", "leg_tensions", "contacts")
 """Arrays of a row for every drone: of itself, of its leg, or of its end of an edge."""
 
 
@@ -188,12 +188,6 @@ def with_cables(phases: Iterable[Phase], numbers: Sequence[int]) -> tuple[Phase,
         return replace(phase, hold=replace(phase.hold, cables=cables))
 
     return tuple(map(renamed, phases))
-
-
-def _stored_curves(states: Sequence[str]) -> list[str]:
-    """Return the names of the curves that are stored for cables in these states."""
-    has_anchors = CableState.BENT in states
-    return [name for name in CURVES if has_anchors or name != "anchors"]
 
 
 def read_plan(path: Path) -> Flight:
@@ -295,8 +289,7 @@ def _team_motions(
 
 def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> TeamMotion:
     """Return a team, or one of an external plan, from its head and its arrays."""
-    states = [phase["state"] for phase in head["records"]["phases"]]
-    names = ["breaks", *_stored_curves(states)]
+    names = ["breaks", *CURVES]
     stored = read_arrays(path, [f"{key}/{index}/{label}" for label in names])
     arrays = dict(zip(names, stored.values(), strict=True))
     name = line("name", head["name"])

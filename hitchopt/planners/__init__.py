@@ -8,6 +8,6 @@ Packages plan geometry and timing; the modules beside them decide what a step tr
 them a ``StepTask`` and takes a ``StepPlan`` (``task``): at rest (``rests``), to the hitch at its
 end (``ends``) ``along`` a given path or the first certified one of ``routes``, which may be an
 ``optimised_route``, with ``compensation`` of friction; ``blending`` steps, ``tying`` a hitch,
-``enclosing`` and taking objects by ``grasps``, ``straddling`` one with two cables, or in
+``enclosing`` and taking objects by ``grasps``, or in
 ``swarms``.
 """

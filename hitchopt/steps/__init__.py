@@ -4,13 +4,11 @@ A module's ``__all__`` names its steps. From these lists follow the attributes o
 keys of problem files and the pages of the reference.
 """
 
-from hitchopt.steps import carrying, moving, straddling, tying
+from hitchopt.steps import carrying, moving, tying
 from hitchopt.steps.step import Step as Step
 
 STEPS: tuple[type[Step], ...] = tuple(
-    getattr(module, name)
-    for module in (moving, tying, carrying, straddling)
-    for name in module.__all__
+    getattr(module, name) for module in (moving, tying, carrying) for name in module.__all__
 )
 """All kinds of steps, in the order in which a problem file's keys are listed."""
 

@@ -17,7 +17,6 @@ from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, surface_bel
 from hitchopt.planners.along import OBSTACLE_CHECKS
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.detours import CarrySearch
-from hitchopt.planners.carrying.hinge import check_hinge
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import LIFT_SPEED
 from hitchopt.planners.enclosing import (
@@ -35,7 +34,6 @@ from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require
 from hitchopt.steps.keys import ObjectOf, Place, Seconds, Yaw
 from hitchopt.steps.knob import Knob, checks_relaxed_by
 from hitchopt.steps.step import Stage, Step
-from hitchopt.steps.straddling import Tie, Untie
 from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, documented, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
@@ -145,7 +143,6 @@ class Grasp(TensionStep):
 class Lift(Step):
     """Transfer the object's weight to the clasps, and lift it vertically."""
 
-    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None  # two cables around an object have no outline
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.LIFTED)
     by: Annotated[float, Key(LENGTH, "Height to lift", 0.5)]
@@ -159,7 +156,6 @@ class Lift(Step):
         """Plan the vertical ascent."""
         planner = task.held
         object_of(task, planner.state.object)  # two cables may be tied around any
-        check_hinge(planner)
         to = goal_of(self, task.requirements, planner.state.object)
         moves = [planner.transfer(0.0, 1.0), planner.carry(to, LIFT_SPEED)]
         return self.plan_of_moves(task, replace(task.grasp, carried=True), moves)
@@ -173,7 +169,6 @@ class Carry(Step):
     Where objects are in the way, it flies beside them, with a stop or two.
     """
 
-    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.LIFTED)
     object: ObjectOf
@@ -216,7 +211,6 @@ class Carry(Step):
 class SetDown(Step):
     """Lower the object onto its support, and transfer its weight to it."""
 
-    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.GRASPED)
     object: ObjectOf
@@ -283,7 +277,6 @@ class TransportObject(TensionStep):
     Two robots tie their cables around it, and untie them.
     """
 
-    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
 
     object: ObjectOf
@@ -355,14 +348,9 @@ class TransportObject(TensionStep):
         ]
         grasp = Grasp(self.object, self.method_for(body), self.tension)
         leaving = [Loosen(self.object).plan, Leave(self.object).plan]
-        if task.before.team.robots == 2:
-            tension = self.tension_for(task.before.team)
-            taking = partial(Tie(self.object).plan_to_grip, tension=tension, lifts=True)
-            leaving = [Untie().plan]
-        else:
-            around = enclosing_planners(task, self.object)
-            holds = [partial(plan_in_sequence, [enclose, grasp.plan]) for enclose in around]
-            taking = partial(first_plan, "orientation", holds)
+        around = enclosing_planners(task, self.object)
+        holds = [partial(plan_in_sequence, [enclose, grasp.plan]) for enclose in around]
+        taking = partial(first_plan, "orientation", holds)
         return plan_in_sequence([taking, *(step.plan for step in carrying), *leaving], task)
 
     def _check_goal(self, task: StepTask, above: Array) -> None:

@@ -76,7 +76,6 @@ __all__ = [  # noqa: RUF022, in the order of the keys of problem files
 class Hold(HitchStep):
     """Keep everything at rest."""
 
-    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = None
     time_key: ClassVar[str] = "seconds"

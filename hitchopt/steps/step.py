@@ -52,9 +52,6 @@ class Step(Record, ABC):
     object_key: ClassVar[str] = "object"  #: Key in the problem file of the name of its object
     #: True if the step is for single drones without cables
     of_single_drones: ClassVar[bool] = False
-    of_two_robots: ClassVar[bool] = False
-    """True if teams of two robots support the step; their cables form a hitch only around an
-    object."""
 
     #: Effort to plan the step, per robot, beyond which no further candidate is tried
     effort_per_robot: ClassVar[float] = 2e5

@@ -309,7 +309,6 @@ class Release(SpotsStep):
 class Land(SpotsStep):
     """Descend straight to the ground, with ``to`` at these spots."""
 
-    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = False
     duration: Seconds = None
     to: Spots = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from itertools import product
 
 import numpy as np
 
@@ -236,9 +235,8 @@ def wrap_angle(s: Spans, k: Index) -> Line:
 
 
 def total_turn(s: Spans) -> Line:
-    """Return sums of exterior angles, and of the turns of two cables along an object [deg]."""
+    """Return sums of exterior angles [deg]."""
     turns = [exterior_angle(s, c) for c in range(len(s.plan.clasps))]
-    turns += [wrap_angle(s, k) * DEGREES for k in range(2 * s.plan.two)]
     return sum(turns, s.zero)
 
 
@@ -249,17 +247,6 @@ def exterior_angle(s: Spans, c: Index) -> Line:
     x = s.point(s.plan.begin[s.plan.clasps[c]])
     a = (x - s.point(p.begin[p.behind[c]]))[:2]
     b = (s.point(p.end[k]) - x)[:2]
-    if p.two:  # edges bend around an object
-        a = s.edge(p.behind[c])[1][:2]
-        b = s.edge(k)[0][:2]
     right = a[1] * b[0] - a[0] * b[1]
     turn = angle(a, b) * DEGREES * np.where(right.v < 0.0, -1.0, 1.0)
     return Line(turn.v, turn.g, np.where(right.low * right.high > 0.0, turn.q, BIG), s.t)
-
-
-def crossing_parts(s: Spans, c: Index) -> Iterator[tuple[list[Line], list[Line]]]:
-    """Yield pairs of straight parts beyond an object on which bent cables of a clasp cross.
-
-    The first belong to the cable ahead, towards its q, the second to the one behind, towards its r.
-    """
-    yield from product(s.halves(s.plan.clasps[c], 0), s.halves(s.plan.behind[c], 1))

@@ -39,8 +39,6 @@ def curve_jumps(p: Plan) -> Iterator[Worst]:
         yield from total_jump(jumps_of(points[:, : p.N]), p, p.names)
         yield from total_jump(jumps_of(p.poses.c[k]), p, bodies)
         yield from total_jump(jumps_of(points[:, p.V]) * both_taut, p, p.labels[p.V])
-        if np.any(p.bent):  # inner ends of legs
-            yield from total_jump(jumps_of(points[:, p.anchor]) * both_taut, p, p.names)
         yield from total_jump(jumps_of(p.legs.c[k]) * both_taut, p, p.names)
 
 
@@ -120,8 +118,6 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
         if not np.any(on):  # shorter than what files resolve
             continue
         faults = [*unformed_faults(p, on), *FAULTS_OF_STATES.get(phase["state"], no_faults)(p, on)]
-        if p.two and np.any(on & p.formed):
-            faults.append((phase["hold"] is None, "two cables are tied around nothing"))
         if phase["state"] == LOOSE:
             follows = i > 0 and p.phases[i - 1]["state"] != LOOSE
             faults.append((follows, "cables are loose without a loss at the start"))

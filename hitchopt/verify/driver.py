@@ -16,7 +16,7 @@ from .consistency import consistency, jumps
 from .drones import drones
 from .links import interlacing
 from .losses import losses, read_stated
-from .objects import clear_held, clear_objects, gripped, hinged, resting, steady
+from .objects import clear_held, clear_objects, gripped, resting, steady
 from .plan import TAUT_TOL, Plan
 from .reading import UnreadableError, read
 from .request import requested
@@ -24,7 +24,7 @@ from .slides import friction_shifts, rest_shifts
 from .spans import MIN_TENSION, SAMPLED, Row, Spans, prove, worst_row
 from .statics import vertex_errors
 from .teams import Pair, arc_distances, between_plans, object_distances
-from .tying import bent_cables, free_cables
+from .tying import free_cables
 
 GROSS = 10.0  # ratio to a limit from which on curves are no plan at all
 JUMP = 0.01  # [m] largest jump of curves that are a plan
@@ -66,9 +66,7 @@ def hopeless(p: Plan) -> Iterator[Row]:
 def plan_rows(p: Plan) -> Iterator[Row]:
     """Yield the rows of all checks, several for some limits."""
     yield from (*consistency(p), *distances(p))
-    for check_of, b in product(
-        (resting, gripped, steady, hinged, clear_held), range(len(p.bodies))
-    ):
+    for check_of, b in product((resting, gripped, steady, clear_held), range(len(p.bodies))):
         yield from check_of(p, b)
     yield from (*jumps(p), *interlacing(p), *vertex_errors(p), *friction_shifts(p), *rest_shifts(p))
 
@@ -78,8 +76,6 @@ def distances(p: Plan) -> Iterator[Row]:
     yield from drones(p)
     if np.any(p.taut):
         yield from taut_cables(p)
-    if np.any(p.bent):
-        yield from bent_cables(p)
     if p.n:
         yield from free_cables(p)
     for b in range(len(p.bodies)):

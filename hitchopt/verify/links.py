@@ -23,10 +23,10 @@ from .arithmetic import (
     norm,
     normalize,
 )
-from .cables import OPEN_ROLL, crossing_parts, has_tension
+from .cables import OPEN_ROLL, has_tension
 from .catenary import catenary, catenary_depth
-from .plan import BENT, CROSSINGS, HITCHED, LAID, LOOSE, MIN_GAP, ROLLING, SAG_TOL, TIGHTENED, Plan
-from .shapes import distance, intersections, signed_distance
+from .plan import CROSSINGS, HITCHED, LAID, LOOSE, ROLLING, SAG_TOL, TIGHTENED, Plan
+from .shapes import distance, intersections
 from .spans import Fault, Row, Spans, fault_row, prove
 
 PAST_ROLL = 0.286  # [deg] largest roll past 180°, where cables pull by 5e-3 of their tension
@@ -46,35 +46,6 @@ def past_roll(s: Spans, c: Index, sense: Array) -> Line:
     cosine = axis.dot(bisector) * axis.dot(q - r) - bisector.dot(q - r)
     x = maximum(sine + cosine * math.tan(PAST_ROLL / DEGREES), -cosine).where(has_tension(s, k, j))
     return Line(np.minimum(x.v, 0.0), s.zero.g, np.where(x.low >= 0.0, 0.0, BIG), s.t)
-
-
-def bent_orders(p: Plan, run: Items) -> tuple[Array, Array, Array]:
-    """Return how bent cables cross beyond the object on a run of pieces, for every clasp (c,).
-
-    Values: the sign of signed distances, and height orders at the start and at the end, 1 if the
-    cable ahead is above; 0 if cables do not clearly cross at any sample.
-    """
-    count = len(p.clasps)
-    parts = 8
-    x = np.tile(np.repeat((np.arange(parts) + 0.5) / parts, count), len(run))
-    c = np.tile(np.arange(count), parts * len(run))
-    s = Spans(p, np.repeat(run, parts * count), c[:, None], x, 0.0 * x)
-    gaps = np.zeros((len(c), 4))
-    with np.errstate(all="ignore"):
-        for k, (a, b) in enumerate(crossing_parts(s, c)):
-            u, w = ((y[1] - y[0]).v for y in (a, b))
-            inside = intersections(a[0].v, u, b[0].v, w)[0]
-            gaps[:, k] = np.where(np.isnan(inside), 0.0, signed_distance(a, b).v[:, 0])
-    gaps = gaps.reshape(-1, count, 4).swapaxes(1, 2).reshape(-1, count)
-    largest = gaps[np.argmax(np.abs(gaps), axis=0), np.arange(count)]
-    sign = np.sign(largest) * (np.abs(largest) > 2.0 * SAG_TOL + MIN_GAP)
-    orders = []
-    for q, end in ((run[0], -1.0), (run[-1], 1.0)):
-        t = Spans.of(p, np.arange(len(p.h)) == q, range(count)).subspan(end)
-        a, b = next(crossing_parts(t, t.item[:, 0]))
-        up = np.cross((a[1] - a[0]).v, (b[1] - b[0]).v)[:, 2]
-        orders.append(sign * np.sign(up))
-    return sign, orders[0], orders[1]
 
 
 def cable_heights(s: Spans, k: Items, share: Array) -> Array:
@@ -177,12 +148,10 @@ class Replay:
         """Follow all runs, and add half crossings on the way."""
         for run in runs_of_states(self.p):
             before = self.half_crossings[*self.neighbours, : run.pieces[0] + 1]
-            number = np.sum(before, axis=-1) / (1 + self.p.two)
+            number = np.sum(before, axis=-1)
             linked = np.abs(number) == 1.0
             if run.state == LAID:
                 self.lay(run, linked)
-            elif run.state == BENT:
-                self.bend(run, number)
             elif run.state == ROLLING:
                 self.roll(run, linked)
             elif run.state == HITCHED and run.before not in ("", ROLLING):
@@ -227,20 +196,6 @@ class Replay:
         self.check(run, lifted and upper != self.order, "a cable is lifted through another one")
         self.order = upper if lowered else 0.0 * upper
 
-    def bend(self, run: Run, number: Array) -> None:
-        """Follow two cables that bend around an object."""
-        _, first, last = bent_orders(self.p, run.pieces)
-        rolled_before = run.before == ROLLING
-        rolls_after = run.after == ROLLING
-        linked = (number != 0.0) | (self.order != 0.0)
-        self.check(run, (not rolled_before) & linked, "linked cables bend")
-        through = rolled_before & (first != self.order)
-        self.check(run, through, "cables are lifted through each other")
-        self.check(run, rolls_after & (last == 0.0), "the height order of cables is not clear")
-        later = self.half_crossings[..., run.pieces[0] + 1]
-        np.subtract.at(later, self.neighbours, self.sense * rolled_before)
-        self.order = last * rolls_after
-
     def roll(self, run: Run, linked: Mask) -> None:
         """Follow pairs that roll by half a turn."""
         crossed = np.where(linked, 0.0, self.order)
@@ -253,7 +208,7 @@ class Replay:
 
 def interlacing(p: Plan) -> Iterator[Row]:
     """Check the crossings of all pairs of cables against the states of phases."""
-    if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, BENT))):
+    if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING))):
         yield fault_row("interlacing", link_faults(p))
 
 
@@ -291,7 +246,7 @@ def link_faults(p: Plan) -> Iterator[Fault]:
 
     # replay checks laid or rolling neighbours
     both = np.triu_indices(n, 1)
-    laid = np.isin(p.state, (LAID, ROLLING, BENT))
+    laid = np.isin(p.state, (LAID, ROLLING))
     later_free = np.flip(np.logical_or.accumulate(np.flip(p.free)))
     loose = later_free[:, None] & ~(laid[:, None] & p.clasped[both])
     pairs = Spans.of(p, loose, np.column_stack(both), p.cables, p.cables)
@@ -300,7 +255,7 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     i, j = np.minimum(p.behind, p.clasps), np.maximum(p.behind, p.clasps)
     tied = p.formed[0] or p.state[0] in (TIGHTENED, LOOSE)  # as at the start of a plan
     linked = np.full(len(p.clasps), float(tied))
-    half_crossings[i, j, 0] = linked * (1 + p.two)
+    half_crossings[i, j, 0] = linked
     if np.any(laid):
         replay = Replay(p, half_crossings, linked)
         replay.follow()
@@ -310,7 +265,7 @@ def link_faults(p: Plan) -> Iterator[Fault]:
         past = f"the pair at {row.where} rolls past lying across"
         yield row.time, row.verdict != "proven", past
     count = np.cumsum(half_crossings, axis=-1)
-    numbers = np.array([CROSSINGS.get(state, -1) for state in p.state]) * (1 + p.two)
+    numbers = np.array([CROSSINGS.get(state, -1) for state in p.state])
     expected = np.where(p.clasped[..., None], numbers, 0)
     same = np.concatenate([[False], p.formed[1:] & p.formed[:-1], [False]])  # within a hitch
     wrong = (np.abs(count[..., 1:]) != expected) & ~same[1:]

@@ -1,4 +1,4 @@
-"""Objects: distances, supports, rims, grips and hinges."""
+"""Objects: distances, supports, rims, and grips."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ from .shapes import Slab, to_frame
 from .spans import MIN_TENSION, Row, Spans, prove
 
 RIM_CUT = 0.005  # [m] largest height above a rim at which legs that it bends leave its outline
-HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of what they carry
 
 
 def clear_objects(p: Plan, b: int) -> Iterator[Row]:
@@ -346,39 +345,3 @@ def steady(p: Plan, b: int) -> Iterator[Row]:
 
     polygons = loaded_grip(p, b) & (not stem.round)
     yield prove("yaw N·m min", 0.0, Spans.of(p, polygons, [0], [body.name]), stiffness)
-
-
-def hinged(p: Plan, b: int) -> Iterator[Row]:
-    """Prove that a body does not fall over two clasps, nor over its foot as cables bend around it.
-
-    All forces of both cables' legs pass through the line through their clasps.
-    """
-    body = p.bodies[b]
-    stem = p.bodies[b].stem
-    held = p.grip[b] & p.two
-
-    def hinge(s: Spans, j: Index) -> Line:
-        """Return heights of clasps above the centre of mass."""
-        return s.point(p.begin[j])[2] - s.world(b, body.centre)[2]
-
-    def foot(s: Spans, _: Index) -> Line:
-        """Return distances of the force line of a standing body from the edge of its foot.
-
-        Edges pull at contacts. The foot is the largest disc about the centre of the section.
-        """
-        base = s.world(b, np.append(stem.centroid, stem.lower))
-        weight = G * body.mass
-        down = s.zero + weight
-        moment = s.zero * UP
-        for k in (0, 1):
-            leaving, arriving = s.edge(k)
-            for end, u in ((0, -leaving.unit()), (1, arriving.unit())):
-                pull = u * s.edge_pull(k)
-                down = down - pull[2]
-                moment = moment + (s.point(p.edges[1 + end, k]) - base).cross(pull)
-        return (down * float(stem.depth(stem.centroid)) - moment[:2].norm()) * (1.0 / weight)
-
-    clasps = Spans.of(p, loaded_grip(p, b) & p.two, range(p.n), p.labels[p.V])
-    yield prove("hinge m min", HINGE + max(p.tube), clasps, hinge)
-    standing = held & p.bent & (not body.fixed)
-    yield prove("support m min", 0.0, Spans.of(p, standing, [0], [body.name]), foot)

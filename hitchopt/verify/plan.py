@@ -58,11 +58,9 @@ TIGHTENED = "being tightened"
 LOOSE = "loose after a loss"  # at the start of a plan, until a chain is tightened
 ROLLING = "rolling"  # pairs between crossing and clasp
 HITCHED = "hitched"
-BENT = "bent around an object"  # single cables, with edges
 CROSSINGS = {GROUNDED: 0, HANGING: 0, DRAWN: 0, TIGHTENED: 1, LOOSE: 1, HITCHED: 1}  # of a clasp
 UNLINKED = {GROUNDED, HANGING}  # no links
-OF_TWO = {*UNLINKED, DRAWN, BENT, ROLLING, HITCHED}  # states of two cables that clasp twice
-STATES = {*CROSSINGS, CLASPING, LAID, ROLLING, BENT, "none"}
+STATES = {*CROSSINGS, CLASPING, LAID, ROLLING, "none"}
 
 
 class Body:
@@ -248,7 +246,7 @@ class Plan:
             return x[:, self.drone]
         if name == "tensions":
             return x[:, self.robot]
-        if self.n and name in ("legs", "leg_tensions", "contacts", "anchors"):
+        if self.n and name in ("legs", "leg_tensions", "contacts"):
             ends = x.reshape(len(x), len(self.drone), *x.shape[3:])
             return np.asarray(ends[:, self.drone].reshape(x.shape))
         return x
@@ -301,7 +299,6 @@ class Plan:
         self.n = int(team.get("robots", 0))
         self.N = 2 * self.n or int(team["drones"])
         self.closed = team.get("topology") == "closed"
-        self.two = self.closed and self.n == 2
         vertices = self.n if self.closed else self.n + (self.n > 0)
         self.V = slice(self.N, self.N + vertices)
         if self.n and (team["topology"] not in ("closed", "open") or self.n < 2):
@@ -375,8 +372,7 @@ class Plan:
         self._check_phases()
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
         self.formed = np.isin(self.state, (HITCHED, ROLLING))
-        self.bent = self.state == BENT
-        self.taut = self.formed | self.bent
+        self.taut = self.formed
         self.pulling = self.taut | (self.state == TIGHTENED)
         self.free = ~self.taut & (self.n > 0)
         self.clasping = np.isin(self.state, (CLASPING, TIGHTENED, LOOSE))
@@ -392,8 +388,7 @@ class Plan:
             at_break, before = same or np.min(np.abs(self.breaks - start)) <= POS_TOL, phase
             known = not hold or (hold["object"] in objects and hold["by"] in ("rest", "grip"))
             known &= {*range(self.n)}.issuperset(hold["cables"] if hold else ())
-            known &= not (self.two and hold) or (hold["by"], len({*hold["cables"]})) == ("grip", 2)
-            states = OF_TWO if self.two else STATES - {BENT}
+            states = STATES
             for valid, text in (
                 (follows, "does not start at the end of the previous phase"),
                 (at_break, "changes the state within a piece"),
@@ -480,7 +475,7 @@ class Plan:
         tensions = self._array("tensions", m, n)
         contacts, middles = self._array("contacts", m, n, 2, 3), midpoints(vertices, n)
         pulls, of_edges = self._array("leg_tensions", m, n, 2), np.stack([tensions, tensions], 2)
-        self.has_contacts = differ(contacts, middles) or bool(np.any(self.bent))
+        self.has_contacts = differ(contacts, middles)
         self.frictional = differ(pulls, of_edges)
         contacts = contacts if self.has_contacts else middles
         pulls = pulls if self.frictional else of_edges
@@ -491,8 +486,6 @@ class Plan:
             for of_legs in (pulls, legs)
         )
         parts = [drones, vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
-        if np.any(self.bent):
-            parts.append(self._read_inner_ends(vertices))
         self._set_ties(vertices)
         count = max(part.shape[-1] for part in parts)
         parts = [elevate(part, count) for part in parts]
@@ -501,23 +494,6 @@ class Plan:
         used = drones, *(part[self.taut] for part in on_cables)
         self.size = max(float(np.max(np.abs(part), initial=0.0)) for part in used)
         self.vertical = np.max(np.ptp(drones[:, :, :2], axis=-1), axis=(1, 2)) <= POS_TOL
-
-    def _read_inner_ends(self, vertices: Array) -> Array:
-        """Read the inner ends of legs (m, 2n, 3, N + 1), and let legs and edges end there.
-
-        Cables that bend on their own state theirs. Those of other cables are at vertices.
-        """
-        m, n = len(vertices), self.n
-        stated = self._array("anchors", m, n, 2, 3)
-        coefficients = max(stated.shape[-1], vertices.shape[-1])
-        at_vertices = elevate(vertices, coefficients)[:, self.anchor - self.N]
-        stated = elevate(stated, coefficients).reshape(at_vertices.shape)
-        last_contact = self.edges[2, -1]
-        inner_ends = last_contact + 1 + np.arange(2 * n)
-        self.anchor = self.pull_point = inner_ends
-        self.edges[0], self.edges[3] = inner_ends[0::2], inner_ends[1::2]
-        self.labels += self.names
-        return np.where(self.bent[:, None, None, None], stated, at_vertices)
 
     def _set_ties(self, vertices: Array) -> None:
         """Set vertices of the hitch before or after pieces on which cables clasp."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .arithmetic import FAR, TINY, Array, Line, maximum, minimum, norm, normalize
+from .arithmetic import TINY, Array, Line, maximum, minimum, norm, normalize
 
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 SECTIONS = 50  # golden sections: the last one is 4e-11 of the first
@@ -157,13 +157,6 @@ def to_frame(pose: Array, x: Array) -> Array:
     c = pose[..., 3]
     r = pose[..., 4]
     return np.stack([c * o[..., 0] + r * o[..., 1], c * o[..., 1] - r * o[..., 0], o[..., 2]], -1)
-
-
-def signed_distance(a: Sequence[Line], b: Sequence[Line]) -> Line:
-    """Return the distance of lines b to lines a along ``a × b``; -FAR where that may vanish."""
-    n = (a[1] - a[0]).cross(b[1] - b[0])
-    valid = n.norm().low > 0.0
-    return (a[0] - b[0]).dot(n.unit()).where(valid) - np.where(valid, 0.0, FAR)[:, None]
 
 
 def intersections(a: Array, u: Array, b: Array, w: Array) -> tuple[Array, Array]:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
-from itertools import chain, pairwise, product
+from itertools import pairwise
 
 import numpy as np
 
 from .arithmetic import (
-    FAR,
     POS_TOL,
     UP,
-    Array,
     Index,
     Items,
     Line,
@@ -21,12 +18,11 @@ from .arithmetic import (
     maximum,
     minimum,
     norm,
-    normalize,
     runs_of,
 )
-from .cables import crossing_parts, range_excess
+from .cables import range_excess
 from .catenary import above_floor, catenary_links, lowest_height, own_cable_gap, shift
-from .links import Replay, bent_orders
+from .links import Replay
 from .plan import (
     CLASPING,
     DRAWN,
@@ -34,98 +30,15 @@ from .plan import (
     GROUNDED,
     LAID,
     LOOSE,
-    MIN_GAP,
-    SAG_TOL,
     TIGHTENED,
     UNLINKED,
     Plan,
 )
-from .shapes import distance, hull_distance, prism_gap, signed_distance
-from .spans import MIN_TENSION, RESOLUTION, Row, Spans, prove
+from .shapes import distance, hull_distance, prism_gap
+from .spans import RESOLUTION, Row, Spans, prove
 
 DRAWING_SPEED = 0.03  # [m/s] largest speed of drones that draw a cable taut
 DRAWING_SLOPE = 100.0  # [s/m] of what stands for a share of the length, over a larger speed
-PASSED = 0.4  # largest fraction of a cable's weight at a clasp that a cable below it may bear
-
-
-def bent_cables(p: Plan) -> Iterator[Row]:
-    """Prove that two cables bend around an object, balanced, and do not pass through each other.
-
-    Their arcs are on opposite sides of a line. They cross beyond the object only, with the same one
-    above until they are apart; their other straight parts are apart. Without an object between
-    them, all of their parts are.
-    """
-    legs = Spans.of(p, p.bent, range(p.N), p.names)
-    both = Spans.of(p, p.bent, [[0, 1]], p.cables, p.cables)
-    clasps = Spans.of(p, p.bent, range(len(p.clasps)), p.labels[p.V])
-    cable = p.segments[:, 2]
-    parts = p.segment_names
-    pairs = np.argwhere((cable[:, None] == 0) & (cable == 1))
-    loose = Spans.of(p, p.bent & ~np.any(p.held, axis=0), pairs, parts, parts)
-    near = partial(distance, ratio=p.ratio)
-    signs = np.zeros((len(p.h), len(p.clasps)))
-    for run in runs_of(p.bent):
-        signs[run] = bent_orders(p, run)[0]
-    yield prove("equilibrium ratio max", 5e-3, legs, edge_residual)
-    yield prove("passing m min", MIN_GAP, both, arc_gap)
-    yield prove("passing m min", SAG_TOL, both, straight_gap)
-    yield prove(*p.crossing_limit, loose, lambda s, i, j: near(s.segment(i), s.segment(j)))
-    yield prove("laid m min", -SAG_TOL, clasps, partial(crossing_height, signs=signs))
-
-
-def arc_gap(s: Spans, *_: Index) -> Line:
-    """Return distances of arcs across a line [m], less than 0 where they may be on one side.
-
-    An arc turns by less than half a turn. It is on the side of its contacts if both straight parts
-    of its edge have the normal to that side on their left.
-    """
-    left = [[concatenate(-x[1], x[0]) for x in s.edge(k)] for k in (0, 1)]
-    first, second = (normalize(x.v) + normalize(y.v) for x, y in left)
-    n = normalize(first - second)
-    contacts = ([s.point(int(i))[:2] for i in s.plan.edges[1:3, k]] for k in (0, 1))
-    gaps = [(a - b).dot(n) for a, b in product(*contacts)]
-    return minimum(*gaps, *(x.dot(n) for x in left[0]), *(x.dot(-n) for x in left[1]))
-
-
-def edge_residual(s: Spans, i: Index) -> Line:
-    """Return forces where legs meet edges, over the tension.
-
-    Not counted are PASSED of the weight, which the other cable may bear, and horizontal forces of
-    second order, ``(½ ρ g L / T)²``, since both are chords of one sagging cable.
-    """
-    p = s.plan
-    k = i // 2
-    leaving, arriving = s.edge(i // 2)
-    is_first = np.equal(i % 2, 0)
-    edge = leaving.where(is_first) - arriving.where(~is_first)
-    other = s.leg(i + 1 - 2 * (i % 2)).norm()
-    pull = s.edge_pull(k)
-    weight = s.tautness(k) * (-other + p.length[k]) * (0.5 * p.weight)
-    force = s.leg_chord(i).unit() * s.pull(i) + edge.unit() * pull - weight * UP
-    share = maximum(minimum(pull, s.pull(i)), MIN_TENSION).inverse()
-    loss = s.inverse_tension(p.tensions.on(s, k), k) * p.length[k] * (0.5 * p.weight)
-    level = maximum(force[:2].norm() * share - loss * loss, 0.0)
-    upright = maximum((force[2].norm() - weight * PASSED) * share, 0.0)
-    return concatenate(level, upright).norm()
-
-
-def straight_gap(s: Spans, i: Index, j: Index) -> Line:
-    """Return distances of straight parts of cables that are at different ends of an object."""
-    pairs = (product(s.halves(i, end), s.halves(j, end)) for end in (0, 1))
-    return minimum(*(distance(a, b) for a, b in chain(*pairs)))
-
-
-def crossing_height(s: Spans, c: Index, signs: Array) -> Line:
-    """Return signed distances of cables that cross, or large ones where they are apart.
-
-    Signs (pieces, clasps) say which cable is above, 0 where either may be.
-    """
-    sign = signs[s.piece, c, None]
-    gaps = list[Line]()
-    for a, b in crossing_parts(s, c):
-        crossed = signed_distance(a, b) * sign - np.where(sign == 0.0, FAR, 0.0)
-        gaps.append(maximum(crossed, distance(a, b) - (2.0 * SAG_TOL + MIN_GAP)))
-    return minimum(*gaps)
 
 
 def free_cables(p: Plan) -> Iterator[Row]:

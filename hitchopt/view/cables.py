@@ -89,9 +89,7 @@ def _above_and_below_ground(
     radius = max_radius
     times, shares = _hooked_shares(motion, t)
     points = _free_cables(motion, drones, np.linspace(0.0, 1.0, POINTS))
-    pieces = np.searchsorted(motion.drones.breaks[1:-1], t, side="right")
-    bent = np.flatnonzero(motion.in_states(frozenset({CableState.BENT}))[pieces])
-    points[bent] = _bent_cables(motion, drones[bent], t[bent])
+    np.searchsorted(motion.drones.breaks[1:-1], t, side="right")
     samples = np.flatnonzero(shares > 0.0)
     if len(samples):
         times = times[samples]
@@ -219,20 +217,6 @@ def _sagging(first: Array, second: Array, size: Array, share: Array, *, of_chord
     points = (1.0 - along) * first[..., None, :] + along * second[..., None, :]
     points[..., 2] -= catenary.depth(mu)
     return np.asarray(points)
-
-
-def _bent_cables(motion: Motion, drones: Array, t: Array) -> Array:
-    """Return cables (times, n, POINTS, 3) [m] that bend around an object each on its own."""
-    anchors, contacts = motion.inner_ends.at(t), motion.contacts.at(t)  # (times, n, 2, 3)
-    pairs = drones.reshape(contacts.shape)
-    total, edges = wrapped_edges(anchors[..., 0, :], anchors[..., 1, :], contacts)
-    arcs = edges[..., 1:-1, :]
-    chords = length(pairs - contacts)
-    slack = motion.team.cable_length - total + np.sum(length(anchors - contacts) - chords, axis=-1)
-    lengths = _with_slack(motion, chords, slack)
-    shares = np.linspace(0.0, 1.0, (POINTS - arcs.shape[-2]) // 2)
-    halves = _sagging(contacts, pairs, lengths, shares, of_chord=True)
-    return np.concatenate([halves[:, :, 0, ::-1], arcs, halves[:, :, 1]], axis=2)
 
 
 def _with_slack(motion: Motion, chords: Array, slack: Array) -> Array:

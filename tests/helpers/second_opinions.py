@@ -19,18 +19,18 @@ from hitchopt.verify import cables, consistency, links, objects, teams, tying
 Rows = Callable[..., Iterator[second.Row]]
 OF_WHOLE: set[Rows] = {consistency.jumps, links.interlacing}
 OF_TAUT: set[Rows] = {cables.taut_cables}
-OF_BENT: set[Rows] = {tying.bent_cables}
+OF_BENT: set[Rows] = set()
 OF_BODIES: set[Rows] = {
-    *(objects.resting, objects.gripped, objects.steady, objects.hinged, objects.clear_objects),
+    *(objects.resting, objects.gripped, objects.steady, objects.clear_objects),
 }
 OF_PAIRS: set[Rows] = {teams.between_plans, teams.object_distances, teams.arc_distances}
 
-TAUT = tying.bent_cables, cables.taut_cables, tying.laid_cables
+TAUT = cables.taut_cables, tying.laid_cables
 ROWS: dict[str, tuple[Rows, ...]] = {
     "interlacing": (links.interlacing,),
     "continuity": (consistency.jumps,),
     "consistency": (consistency.consistency,),
-    "laid": (tying.bent_cables, tying.laid_cables),
+    "laid": (tying.laid_cables,),
     **dict.fromkeys(("cable_length", "equilibrium", "contact"), TAUT),
     "crossing": (*TAUT, teams.between_plans),
     "tension": (consistency.jumps, cables.taut_cables, tying.free_cables),
@@ -39,8 +39,6 @@ ROWS: dict[str, tuple[Rows, ...]] = {
     "yaw": (objects.steady,),
     "wrap": (objects.gripped,),
     "bend": (cables.taut_cables,),
-    "passing": (tying.bent_cables,),
-    **dict.fromkeys(("hinge", "support"), (objects.hinged,)),
 }
 """Functions of ``verify`` that have the rows of a limit."""
 
@@ -60,7 +58,7 @@ def opinion(path: Path, *functions: Rows) -> Iterator[second.Row]:
         elif rows in OF_TAUT:
             yield from chain(*(rows(p) for p in own if np.any(p.taut)))
         elif rows in OF_BENT:
-            yield from chain(*(rows(p) for p in own if np.any(p.bent)))
+            pass
         elif rows in OF_BODIES:
             yield from chain(*(rows(p, b) for p in own for b in range(len(p.bodies))))
         elif rows in OF_PAIRS:

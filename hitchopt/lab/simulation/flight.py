@@ -110,7 +110,7 @@ class FlightInProgress:
         end_offsets = [ropes.leg_end_offsets(part, preset.diameter) for part in parts]
         extra = [
             ropes.thickness_allowance(part, preset.diameter, preset.segment)
-            * ropes.clasped_shares(part)[:, None]
+            * np.ones((len(part.states.t), 1))
             for part in parts
         ]
         self._end_offsets = np.concatenate(end_offsets, axis=1)

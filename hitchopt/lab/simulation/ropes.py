@@ -19,7 +19,6 @@ from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.settings import Preset, Settings
 from hitchopt.lab.simulation.task import TeamTask
-from hitchopt.motion.motion import CableState
 from hitchopt.values import Array
 
 # Largest ratio of the time step to the time in which a transverse wave passes a segment
@@ -313,26 +312,6 @@ def thickness_allowance(task: TeamTask, diameter: float, segment: float) -> Arra
         turns = np.arccos(np.clip(dot(leaving, arriving), -1.0, 1.0))
         allowance += 0.5 * diameter * np.mean(turns, axis=0)
     return allowance
-
-
-def clasped_shares(task: TeamTask) -> Array:
-    """Return the shares of the ``thickness_allowance`` that ropes have at each sample (samples,).
-
-    It is all of it, except in plans that bend cables around an object: before they clasp these are
-    taut without bends, and would sag by centimetres more on their way to the object. The bends
-    appear, and vanish, as pairs roll.
-    """
-    phases = [] if task.motion is None else task.motion.phases
-    if all(phase.state is not CableState.BENT for phase in phases):
-        return np.ones(len(task.states.t))
-    clasped = [float(phase.state is CableState.HITCHED) for phase in phases]
-    before, after = [clasped[0], *clasped[:-1]], [*clasped[1:], clasped[-1]]
-    times, shares = list[float](), list[float]()
-    for k, phase in enumerate(phases):
-        rolls = phase.state is CableState.ROLLING
-        times += [phase.start, phase.end]
-        shares += [before[k], after[k]] if rolls else [clasped[k], clasped[k]]
-    return np.interp(task.states.t, times, shares)
 
 
 def bends_about(task: TeamTask, diameter: float, segment: float, cable: int) -> Array:

@@ -210,8 +210,6 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         }
     if isinstance(rest, ConvexPolygon):
         content["rest"] = {"polygon": rest.vertices.tolist()}
-    if holding.tied_at is not None:
-        content["tie_at"] = holding.tied_at
     for by, masses in content["largest_mass"].items():
         for n, capacity in fit.capacities(by).items():
             masses[str(n)] = {"mass": capacity.mass, "limit": capacity.binding}

@@ -9,7 +9,6 @@ where edges bend, without friction.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -382,16 +381,6 @@ class GripHold(HoldingHitch):
         """(n,) [m]: lengths of q-legs over those of r-legs."""
         return (2.0 * self.fractions - 1.0) * self._slack(self.polygon)
 
-    def drawn_from(self, around: Array, leg_differences: Array) -> GripHold:
-        """Return the grip that is drawn from clasps ``around`` (n, 2) [m].
-
-        Both legs of a cable grow by the same length, so that it does not slide along the object,
-        which it would turn by friction. Their ``leg_differences`` (n,) [m] remain.
-        """
-        open_fractions = 0.5 + 0.5 * leg_differences / self._slack(around)
-        fractions = 0.5 + 0.5 * leg_differences / self._slack(self.polygon)
-        return replace(self, around=around, open_fractions=open_fractions, fractions=fractions)
-
     @property
     def travel(self) -> float:
         """Longest path [m] of a clasp from around the object to the grip."""
@@ -439,23 +428,6 @@ class GripHold(HoldingHitch):
         moments = cross(arms[..., 1, :], wraps.arriving) - cross(arms[..., 0, :], wraps.leaving)
         turning = np.sum(tension * moments, axis=-1) / section.friction_radius
         return float(np.max(np.hypot(length(forces), turning)))
-
-    @property
-    def standing_tension(self) -> float:
-        """Largest tension [N] with which no single cable around the standing object moves it.
-
-        Where drones are off, one cable may pull while the others are slack. Its pull drags the
-        object against friction with the support, or tips it about the edge of its foot.
-        """
-        body = self.body
-        if body.fixed:
-            return math.inf
-        section = body.section
-        wraps = wraps_around(section, self.around)
-        largest_pull = float(np.max(length(wraps.arriving - wraps.leaving)))  # over the tension
-        foot = -float(section.clearance(section.centroid)[0])
-        steepest = min(body.friction, foot / (self.height - body.lower))
-        return body.mass * GRAVITY * steepest / largest_pull
 
     def grip(self, tension: Array) -> Grip:
         """Return the grip with tensions (n,) [N] of cables of one length, without a load."""

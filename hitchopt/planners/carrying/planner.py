@@ -355,17 +355,6 @@ class MovePlanner:
         """Return the motion from around the object, with tensions (n,) [N], to the grip."""
         return self._passage((before, self.state.tension), (0.0, 1.0), name).motion
 
-    def draw_grip(self, after: Array) -> list[Motion]:
-        """Return the motions that draw cables to the grip as they were tied, and raise tensions.
-
-        The tension is constant until they grip, and then rises to ``after`` (n,) [N].
-        """
-        before = self.state.tension
-        motions = [self._passage((before, before), (0.0, 1.0), "draw").motion]
-        if np.any(before != after):
-            motions.append(self.motion([self._load_move((before, after))], "tighten"))
-        return motions
-
     def open_grip(self, after: Array, name: str) -> Motion:
         """Return the motion from the grip to around the object, with tensions (n,) [N].
 
@@ -514,51 +503,9 @@ class MovePlanner:
             yield self.within_limits(move)
 
 
-MAX_SLOPE = 0.065
-"""Weight at a clasp over the tension with which cables are tied by default. The length that sags
-jumps at corners of objects, by a tenth of a millimetre at this slope."""
-
 MIN_TENSION = 0.15
 """[N] Smallest default of that tension, and smallest one as grips close and open, unless the team's
 is smaller."""
-
-
-MAX_LOOSENED_SLOPE = 0.2
-"""The same of cables that are untied from an object that they would drag. At 0.22 the computed
-length of some of 1.5 g/m errs by more than ``cable_length`` allows."""
-
-UNTYING_TENSIONS = 4
-"""Number of candidate tensions below the usual one, with which cables are untied."""
-
-
-def _weight_at_clasp(team: Team) -> float:
-    """Return the weight [N] of a cable's quarter."""
-    return 0.25 * GRAVITY * team.cable_density * float(np.max(team.cable_length))
-
-
-def tying_tension(team: Team) -> float:
-    """Return the tension [N] with which cables are tied if the problem states none."""
-    tension = max(_weight_at_clasp(team) / MAX_SLOPE, MIN_TENSION)
-    return min(tension, float(np.min(team.tension)))
-
-
-def lowest_untying_tension(team: Team) -> float:
-    """Return the lowest tension [N] with which cables are untied, as their weight permits."""
-    return _weight_at_clasp(team) / MAX_LOOSENED_SLOPE
-
-
-def untying_tensions(hold: GripHold) -> list[float]:
-    """Return tensions [N] with which cables are untied from a standing object, in order of trial.
-
-    The first one leaves the object standing even if one cable alone pulls, where the cables' weight
-    permits that low a tension.
-    """
-    usual = tying_tension(hold.team)
-    gentle = max(MAX_PUSH * hold.standing_tension, lowest_untying_tension(hold.team))
-    if gentle >= usual:
-        return [usual]
-    shares = np.arange(UNTYING_TENSIONS + 1) / UNTYING_TENSIONS
-    return [float(tension) for tension in gentle ** (1.0 - shares) * usual**shares]
 
 
 TILT_RESERVE = 5.0

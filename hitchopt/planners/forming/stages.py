@@ -46,7 +46,6 @@ BACKWARD = {
     "lay": "lift",
     "roll": "unroll",
     "approach": "leave",
-    "straddle": "unstraddle",
     "lower": "raise",
 }
 """Names of reversed stages of forming."""
