@@ -12,18 +12,12 @@ demo: $(VENV)/.installed
 	$(BIN)/hitchopt solve problems/carry_box.yaml -o demo --report
 	@echo "Open demo/report.html in a browser; demo/summary.png shows the plan at a glance."
 
-# Films plans in real time to demo/, and four times as fast and small for the pages: each from a time [s] on, and of a part of its frames.
+# Films a plan in real time to demo/, and four times as fast and small for the pages.
 film: $(VENV)/.filmed
-	$(call film,carry_box,0,iw:ih:0:0,800)
-	$(call film,two_robots_drum,0,960:600:160:120,640)
-
-define film
-	$(BIN)/hitchopt solve -q problems/$(1).yaml -o demo/$(1)
-	$(BIN)/hitchopt view demo/$(1) --save demo/$(1).mp4
-	"$$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())')" -loglevel error -y -i demo/$(1).mp4 \
-		-vf "trim=start=$(2), setpts=(PTS-STARTPTS)/4, fps=12.5, crop=$(3), scale=$(4):-1" \
-		-quality 75 -loop 0 problems/pictures/$(1).webp
-endef
+	$(BIN)/hitchopt solve -q problems/carry_box.yaml -o demo/carry_box
+	$(BIN)/hitchopt view demo/carry_box --save demo/carry_box.mp4
+	"$$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())')" -loglevel error -y -i demo/carry_box.mp4 \
+		-vf "setpts=PTS/4, fps=12.5, scale=800:-1" -quality 75 -loop 0 problems/pictures/carry_box.webp
 
 # What a change needs, in some ten minutes on two cores; pytest tests/ROOM runs all tests of a room.
 test: $(VENV)/.tested

@@ -53,7 +53,6 @@ CURVES = {
     "poses": ("poses",),
     "load_share": ("load_share", "borne"),
     "contacts": ("contacts",),
-    "anchors": ("anchors",),
 }
 """Curves of a motion, each with its names in this and other versions."""
 
@@ -247,14 +246,12 @@ def default(key: str, curves: Curves, other: Array) -> Array | None:
         return np.broadcast_to(other[:1, :, :1], other.shape)
     if name == "leg_tensions":
         return np.repeat(curves[f"{label}/tensions"], 2, axis=1)
-    if name in ("anchors", "contacts"):  # the ends of every edge, or twice its midpoint
+    if name == "contacts":  # twice the midpoint of every edge
         c = curves[f"{label}/vertices"]
         points, edges = c.shape[1] // 3, other.shape[1] // 6
         c = c.reshape(len(c), points, 3, -1)
-        ends = np.stack([c[:, :edges], np.roll(c, -1, axis=1)[:, :edges]], axis=2)
-        if name == "contacts":
-            ends[:] = 0.5 * np.sum(ends, axis=2, keepdims=True)
-        return ends.reshape(len(c), 6 * edges, -1)
+        middles = 0.5 * (c[:, :edges] + np.roll(c, -1, axis=1)[:, :edges])
+        return np.stack([middles, middles], axis=2).reshape(len(c), 6 * edges, -1)
     return None
 
 

@@ -112,7 +112,8 @@ def __getattr__(name: str) -> object:
     # Only names of classes: `from hitchopt import verify` must not import steps
     steps = _steps() if name[:1].isupper() else {}
     if name not in steps:
-        raise AttributeError(f"module 'hitchopt' has no attribute '{name}'")
+        sentence = import_module("hitchopt.retired").gone(f"ho.{name}")
+        raise AttributeError(sentence or f"module 'hitchopt' has no attribute '{name}'")
     return steps[name]
 
 

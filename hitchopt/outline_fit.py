@@ -1,7 +1,7 @@
 """``fit``: the hitch polygons for an object's outline, and their capacities.
 
 The enclosing polygon has short edges of similar lengths at the clearance from the outline. The grip
-is that of ``best_grip``, the polygon of a rim that of ``grasp``. Cables are the shortest that keep
+is the first of ``grips``, the polygon of a rim that of ``grasp``. Cables are the shortest that keep
 the separation of the drones.
 """
 
@@ -123,7 +123,7 @@ class Holding(OneLine):
     task: the request.
     robots: number of cables.
     enclosing: the polygon that ``enclose`` lowers around the object, by grip, or with a stem by
-        rest, if that holds it; None for two cables, which are tied around it.
+        rest, if that holds it.
     cable_length: of all cables [m].
     grip: the grip with the largest slip load, or the error if there is none.
     rest: the polygon on which the outline rests as a rim, or the error if there is none.
@@ -132,7 +132,7 @@ class Holding(OneLine):
 
     task: FitTask
     robots: int
-    enclosing: ConvexPolygon | None
+    enclosing: ConvexPolygon
     cable_length: float
     grip: Grip | InfeasibleError
     rest: ConvexPolygon | InfeasibleError
@@ -162,16 +162,15 @@ class Fit(OneLine):
     notes: tuple[str, ...]
 
     @property
-    def enclosing(self) -> ConvexPolygon | None:
-        """The polygon that is lowered around the object; None for two robots."""
+    def enclosing(self) -> ConvexPolygon:
+        """The polygon that is lowered around the object."""
         return self.holding.enclosing
 
     def capacities(self, by: str) -> dict[int, Capacity]:
-        """Return the capacity of each number of robots, by ``grip`` or, from three, ``rest``."""
+        """Return the capacity of each number of robots, by ``grip`` or ``rest``."""
         return {
             n: each.capacity(by) if isinstance(each, Holding) else _zero_capacity(each)
             for n, each in self.others.items()
-            if by == GRIP or n > 2
         }
 
     def raise_if_too_heavy(self, mass: float, by: str = GRIP) -> None:
@@ -207,7 +206,7 @@ def fit(
     ----------
     outline: points (m, 2) [m], a circle's radius [m], a ``Section``, a geometry of shapely, or the
         path of an SVG, DXF, GeoJSON or CSV file. The convex hull is used where it is concave.
-    robots: number n of robots; the cables of two are tied around the object.
+    robots: number n of robots.
     clearance: distance of cables to the object while it is enclosed [m], in addition to 4.5 cm for
         its position error.
     stem: radius of a round body below the outline as a rim [m]; None for a flat tray.
@@ -227,7 +226,7 @@ def fit(
     InputError: a number out of its range, or an invalid outline.
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
-    integer("robots", robots, 2, MAX_ROBOTS)
+    integer("robots", robots, 3, MAX_ROBOTS)
     for number in sequence("compared", compared):
         integer("compared", number, 3, MAX_ROBOTS)
     (kind,) = kinds_of(quadrotor, 1, "object")

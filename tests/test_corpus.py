@@ -81,7 +81,6 @@ def test_a_curve_that_is_left_out_equals_its_default(
     stated = {
         "leg_tensions": np.repeat(curves["team/tensions"], 2, axis=1),
         "contacts": motion.contacts.coefficients.reshape(ends),
-        "anchors": motion.anchors.coefficients.reshape(ends),
         "load_share": np.zeros((motion.drones.pieces, 2, 1)),
         "poses": np.tile(np.arange(10.0)[None, :, None], (motion.drones.pieces, 1, 3)),
     }

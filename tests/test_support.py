@@ -16,6 +16,7 @@ import pytest
 from generators.support_page import write_support_page
 
 import hitchopt as ho
+from hitchopt.checks.certifying import certify
 from hitchopt.errors import HitchoptError
 from hitchopt.exports.held_tension import held_tension
 from hitchopt.hitch.requirements import Requirements
@@ -33,6 +34,7 @@ from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.steps.tying import check_rollable
 from hitchopt.support import REFUSALS, Feature, Neighbour
 from hitchopt.view.editing import Editing
+from tests.helpers import carried_plans
 from tests.helpers.plans import PROBLEMS, ROOT, planned
 
 DIRECT = {
@@ -85,9 +87,14 @@ def swarm() -> ho.Flight:
     return planned("swarms/circle_6").flight
 
 
-def drum() -> Motion:
-    """Return the motion of two cables that are tied around a drum, carry it and are untied."""
-    return planned("two_robots_drum").motion
+def carrying() -> Motion:
+    """Return the motion of a hitch that carries a tray."""
+    return carried_plans.plan("tray").motion
+
+
+def free() -> Motion:
+    """Return the part of a triangle's motion on which its cables hang freely."""
+    return planned("form_triangle").motion.spans(frozenset({CableState.FREE}))[0]
 
 
 def loosely_clasped() -> ho.Flight:
@@ -150,7 +157,7 @@ def slack() -> Motion:
 
 
 def carrying_time() -> float:
-    lift = next(phase for phase in drum().phases if phase.name == "lift")
+    lift = next(phase for phase in carrying().phases if phase.name == "lift")
     return 0.5 * (lift.start + lift.end)
 
 
@@ -158,16 +165,13 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     (Feature.LAYING, Neighbour.CHAINS): lambda: laid(CHAIN),
     (Feature.LAYING, Neighbour.WEIGHTLESS): lambda: laid(replace(HEAVY, cable_density=0.0)),
     (Feature.LAYING, Neighbour.LOADS): lambda: laid(LOADED),
-    (Feature.TWO_CABLES, Neighbour.CHAINS): lambda: ho.Tie("drum").resolved_for(
-        ho.Team(2, 2.3, topology="open")
-    ),
     (Feature.HOLDING, Neighbour.CHAINS): lambda: object_of(held_by(CHAIN), "drum"),
     (Feature.GRIPPING, Neighbour.UNEQUAL_KINDS): lambda: next(
         grip_clasps("drum", DRUM, ho.Team(3, [2.3, 2.3, 2.4]), Requirements())
     ),
     (Feature.COST, Neighbour.CHAINS): lambda: FlightCost(CHAIN, lambda _, s: s),
     (Feature.END, Neighbour.SINGLE_DRONES): lambda: final_hitch(swarm().teams[0].motion),
-    (Feature.END, Neighbour.FREE_CABLES): lambda: final_hitch(drum()),
+    (Feature.END, Neighbour.FREE_CABLES): lambda: final_hitch(free()),
     (Feature.END, Neighbour.OTHER_TENSIONS): lambda: final_hitch(
         with_team(tension=[0.3, 0.6, 0.9])
     ),
@@ -175,14 +179,14 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
         triangle().team, planned("swarms/circle_6")
     ),
     (Feature.REPLANNER, Neighbour.FREE_CABLES): lambda: ho.Replanner(
-        drum().team, planned("two_robots_drum")
+        free().team, ho.Plan(ho.Flight.of(free()), certify(free()), "free")
     ),
     (Feature.HOLD_TENSION, Neighbour.SINGLE_DRONES): lambda: held_tension(swarm()),
     (Feature.HOLD_TENSION, Neighbour.INTEGRAL_GAINS): lambda: held_tension(
         ho.Flight.of(with_team(quadrotor=ho.Quadrotor(controller="mellinger")))
     ),
     (Feature.PLAYER, Neighbour.OTHERS): lambda: ho.Player(in_company(triangle(), Neighbour.OTHERS)),
-    (Feature.REACTION, Neighbour.OBJECTS): lambda: Reactions(drum()).plan("q0", 1.0),
+    (Feature.REACTION, Neighbour.OBJECTS): lambda: Reactions(carrying()).plan("q0", 1.0),
     (Feature.SURVIVING, Neighbour.OBJECTS): lambda: Requirements(
         ho.Limits(survive="cable"), objects={"drum": DRUM}
     ).flown_by(ho.Team(3, 2.4, release=True, quadrotor="paper_132g")),
@@ -200,10 +204,10 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     (Feature.EDITING, Neighbour.SEVERAL_TEAMS): lambda: edit("two_teams"),
     (Feature.STATICS, Neighbour.SINGLE_DRONES): lambda: taut_times(swarm().teams[0].motion),
     (Feature.STATICS, Neighbour.FREE_CABLES): lambda: taut_times(slack()),
-    (Feature.STATICS, Neighbour.OBJECTS): lambda: ho.equilibrium(drum(), carrying_time()),
+    (Feature.STATICS, Neighbour.OBJECTS): lambda: ho.equilibrium(carrying(), carrying_time()),
     (Feature.SCENE, Neighbour.LOADS): lambda: scene_of(LOADED),
     (Feature.CLASPS, Neighbour.OBJECTS): lambda: fly_hitched(
-        Task.of(planned("two_robots_drum").flight), Settings(), [0]
+        Task.of(ho.Flight.of(carrying())), Settings(), [0]
     ),
     (Feature.SIMULATION, Neighbour.SINGLE_DRONES): lambda: Task.of(swarm()),
     (Feature.SIMULATION, Neighbour.LOOSE_CLASPS): lambda: Task.of(loosely_clasped()),

@@ -28,17 +28,14 @@ from hitchopt.geometry.vectors import cross, left_of, unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.trajectory.enclosed import Enclosed, Interval
-from hitchopt.trajectory.search import TimeSpans, batches
+from hitchopt.trajectory.enclosed import Enclosed
+from hitchopt.trajectory.search import batches
 from hitchopt.values import Array, Indices
 
 MIN_DISTANCE = 1e-6  # [m] Distance of chords that do not touch, and of drones outside sheets
 
 MAX_HALVINGS = 30
 """Maximum number of halvings of a span: if it is still open, a chord touches another one's end."""
-
-MAX_HEIGHT_ERROR = 5e-3  # [m] Largest width of the interval of the height of a crossing
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,101 +225,6 @@ def _outside_sheet(spans: PairSpans) -> Flags:
         deviation = np.abs(along[:, 2]) * np.max(tolerance, axis=1)
         outside |= smallest > MIN_DISTANCE + deviation
     return outside
-
-
-class CrossingHeight(NamedTuple):
-    """The point at which two chords cross, seen from above."""
-
-    crosses: Flags  # (spans,), whether they certainly cross
-    height: Interval  # (spans,) [m], of the first chord over the second one; meaningless elsewhere
-
-
-def _crossing_height(chords: Array) -> CrossingHeight:
-    """Return on which spans two chords (spans, 4, 3, …) cross, seen from above, and the height."""
-    first_start, first_end, second_start, second_end = (Enclosed(chords[:, k]) for k in range(4))
-    first_chord = first_end - first_start
-    second_chord = second_end - second_start
-    crosses = _on_both_sides(
-        first_chord.xy.cross((second_start - first_start).xy),
-        first_chord.xy.cross((second_end - first_start).xy),
-    ) & _on_both_sides(
-        second_chord.xy.cross((first_start - second_start).xy),
-        second_chord.xy.cross((first_end - second_start).xy),
-    )
-    normal = first_chord.cross(second_chord)
-    volume = (first_start - second_start).dot(normal)
-    with np.errstate(all="ignore"):
-        height = volume.range * normal[2].range.inverse
-    return CrossingHeight(crosses, height)
-
-
-class HeightsBeyond(NamedTuple):
-    """Heights of a cable over another one where they cross beyond an object, seen from above.
-
-    They are those of chords, on spans of time; nan where a plane separates them, 0 where they may
-    touch.
-    """
-
-    start: Array  # (spans,) [m], at the start of each span
-    end: Array  # (spans,) [m], at its end
-    lowest: Array  # (spans,) [m], lower bound on the span
-    highest: Array  # (spans,) [m], upper bound on the span
-
-    @property
-    def backward(self) -> HeightsBeyond:
-        """Views of the heights as they follow each other backward in time."""
-        return HeightsBeyond(
-            start=self.end[::-1],
-            end=self.start[::-1],
-            lowest=self.lowest[::-1],
-            highest=self.highest[::-1],
-        )
-
-    def first(self, count: int) -> HeightsBeyond:
-        """Return views of the heights on the first spans."""
-        return HeightsBeyond(*(heights[:count] for heights in self))
-
-
-def heights_beyond(motion: Motion, ahead: int, behind: int) -> HeightsBeyond:
-    """Return the heights of a cable over another one beyond an object, in the order of time.
-
-    The chord of the cable ``ahead`` from its first contact to its q-drone crosses that of the cable
-    ``behind`` from its last contact to its r-drone.
-    """
-    both_chords = outer_chords(motion)[:, [2 * ahead, 2 * behind + 1]]
-    chords = both_chords.reshape(len(both_chords), 1, 4, *both_chords.shape[3:])
-    pieces = np.arange(len(chords))
-    spans = TimeSpans(motion, motion.drones.breaks, pieces, np.zeros_like(pieces))
-    starts = list[Array]()
-    parts = list[Array]()
-    for depth in range(MAX_HALVINGS):
-        if not len(spans):
-            break
-        check_time()
-        crosses, height = _crossing_height(spans.read(chords))
-        separated = are_separated(spans.read(chords)) & ~crosses
-        narrow = crosses & (height.high - height.low <= MAX_HEIGHT_ERROR)
-        in_middle = spans.at(np.full(len(spans), 0.5)).read(chords)
-        touching = ~(are_separated(in_middle) | _crossing_height(in_middle).crosses)
-        done = separated | narrow | touching | (depth == MAX_HALVINGS - 1)
-        at_start = spans.at(np.zeros(len(spans))).read(chords)
-        at_end = spans.at(np.ones(len(spans))).read(chords)
-        start_height = _crossing_height(at_start).height.low
-        end_height = _crossing_height(at_end).height.low
-        heights = np.stack([start_height, end_height, height.low, height.high])
-        heights[:, ~crosses] = 0.0
-        heights[:, separated] = np.nan
-        starts.append(spans.times(np.zeros(len(spans)))[done])
-        parts.append(heights[:, done])
-        spans = spans.take(~done).halves()
-    in_order = np.argsort(np.concatenate(starts), kind="stable")
-    return HeightsBeyond(*np.concatenate(parts, axis=1)[:, in_order])
-
-
-def outer_chords(motion: Motion) -> Array:
-    """Return chords from contacts with an object to drones (pieces, 2n, 2, 3, degree + 1) [m]."""
-    drones, contacts = same_degree(motion.drones.coefficients, motion.contacts.coefficients)
-    return np.stack([contacts.reshape(drones.shape), drones], axis=2)
 
 
 def height_gaps(motion: Motion) -> Array:

@@ -428,7 +428,7 @@ YAW = CheckRule(
     proves="moment per angle [N m] with which edges hold the yaw of a carried polygon",
     unproven="how far the object turns before it is lifted",
 )
-"""Two cables that clasp next to an object's sides turn it about its corners."""
+"""Edges whose clasps are next to an object's sides turn it about its corners."""
 
 
 @cached

@@ -19,24 +19,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.checks.bodies import Bodies
 from hitchopt.checks.cable_states import contradictions
 from hitchopt.checks.chords import (
-    HeightsBeyond,
     chord_crossings,
     drones_inside_hanging_cables,
     height_gaps,
-    heights_beyond,
-    outer_chords,
 )
 from hitchopt.checks.clasps import MAX_PAST_ROLL, OPEN_ROLL, roll_changes, roll_past
 from hitchopt.checks.crossing import CROSSING, upright_pieces
-from hitchopt.checks.distances import Flags, Moving, nearest
+from hitchopt.checks.distances import Flags
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, accumulated, worst_at_joint
 from hitchopt.checks.spans import (
-    MotionSpans,
     PhasePart,
-    bent_edges,
     clasped_pairs,
     derivative,
     derivative_margin,
@@ -44,7 +38,7 @@ from hitchopt.checks.spans import (
     phase_parts,
     position_margin,
 )
-from hitchopt.geometry.vectors import length, unit
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
 from hitchopt.hitch.pairs import MIN_GAP
 from hitchopt.motion.motion import (
@@ -59,9 +53,6 @@ from hitchopt.motion.motion import (
     Phase,
 )
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.trajectory.enclosed import Bound, Enclosed
-from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices, true_runs
 
 MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
@@ -225,9 +216,6 @@ def _contradictions_at_start(
         return
     start = float(part.motion.drones.breaks[0])
     yield Contradiction(part.phase, ties.pairs[np.abs(ties.numbers) != required], start)
-    if state is CableState.HITCHED:
-        opposite = _in_opposite_senses(ties.pairs, ties.numbers)
-        yield Contradiction(part.phase, ties.pairs[opposite], start)
 
 
 def _contradicting_crossings(
@@ -383,41 +371,6 @@ class Ties:
             invalid &= ~np.isnan(clearance)
         return above, invalid
 
-    def bend(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
-        """Update the ties while cables are bent around an object, and return invalid pairs.
-
-        Before they roll, or after that, both cables of a clasp cross beyond the object, seen from
-        above. Since they began to cross, one is above the other, and they come to lie on each
-        other. At all other times they stay apart; their arcs and their ends at different clasps
-        always do.
-        """
-        after_rolling = before is CableState.ROLLING
-        before_rolling = after is CableState.ROLLING
-        distance = nearest(_opposite_ends)(motion, MAX_LAID_GAP).worst
-        side = worst(BothCables.of(motion), opposite_sides, "min", target=0.0).worst
-        wrong: Flags = (self.numbers != 0) & (not after_rolling)
-        wrong |= not distance >= MAX_LAID_GAP
-        wrong |= not side > 0.0
-        lying_after = np.zeros_like(self.lying)
-        layout = motion.team.layout
-        for i, clasp in enumerate(self.order.tolist()):
-            heights = heights_beyond(motion, int(layout.ahead[clasp]), int(layout.behind[clasp]))
-            runs = list[LyingRun]()
-            if after_rolling:
-                runs.append(LyingRun.followed(heights))
-            if before_rolling:
-                runs.append(LyingRun.followed(heights.backward))
-                lying_after[i] = runs[-1].above
-            wrong[i] |= any(not run.valid for run in runs)
-            if after_rolling:
-                wrong[i] |= any(run.above != self.lying[i] for run in runs)
-            lowest = np.min(heights, axis=0)
-            highest = np.max(heights, axis=0)
-            wrong[i] |= bool(np.any(lowest * highest <= 0.0))  # crossings at other times
-        self.numbers[:] = 0
-        self.lying[:] = lying_after
-        return wrong
-
     def roll(self, motion: Motion, after: CableState | None) -> Flags:
         """Update the ties while cables roll, and return invalid pairs (clasps,).
 
@@ -447,80 +400,6 @@ class Ties:
         senses = np.empty(len(self.order))
         senses[self.order] = self.senses
         return roll_past(motion, senses, MAX_PAST_ROLL)[self.order]
-
-
-def _in_opposite_senses(clasped: Indices, numbers: Indices) -> Flags:
-    """Return clasps (clasps,) of two cables that clasp twice, in opposite senses.
-
-    ``clasped`` are the sorted pairs. Such cables come apart where the object between them ends.
-    """
-    same_cables = clasped[:, None] == clasped
-    return np.asarray(np.any(same_cables & (numbers[:, None] != numbers), axis=1))
-
-
-class LyingRun(NamedTuple):
-    """Spans next to rolling, on which the cables of a clasp cross beyond an object."""
-
-    above: int  # 1 if the cable ahead is above the one behind, -1 if below, 0 if neither is certain
-    valid: bool  # True if the cables lie on each other next to rolling, and never pass each other
-
-    @classmethod
-    def followed(cls, heights: HeightsBeyond) -> LyingRun:
-        """Return the run, and set its heights to infinity: the crossings are accounted for.
-
-        Parameters
-        ----------
-        heights: of spans in an order that starts at the one next to rolling.
-        """
-        crosses = ~np.isnan(heights.start)
-        count = int(np.sum(np.logical_and.accumulate(crosses)))
-        above = 0
-        if count:  # on the span on which they begin, or cease, to cross
-            lowest = heights.lowest[count - 1]
-            highest = heights.highest[count - 1]
-            above = int(lowest > 0.0 and highest > 0.0) - int(lowest < 0.0 and highest < 0.0)
-        touch = abs(heights.start[0]) <= MAX_LAID_GAP
-        run = heights.first(count)
-        stay = np.all(above * np.array(run) >= -MAX_LAID_GAP)
-        for values in run:
-            values[:] = np.inf
-        return cls(above, valid=bool(above != 0 and touch and stay))
-
-
-def _opposite_ends(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of chords of bent cables that lead to different clasps."""
-    names = motion.team.drone_names
-    chords = Bodies(outer_chords(motion), names)
-    yield Moving.between(motion, chords, allowed=lambda i, j: (i + j) % 2 == 0)
-
-
-class BothCables(MotionSpans):
-    """Spans of two cables together."""
-
-    names = staticmethod(lambda _: ("both cables",))
-
-
-def opposite_sides(spans: BothCables) -> Bound:
-    """Return a bound [m] that is positive where two bent cables are on opposite sides of a line.
-
-    An arc leads from its first to its last contact, and turns right by less than half a turn. It is
-    on one side of a line if both contacts are, and neither straight part of its edge leads across
-    that line toward the object.
-    """
-    motion = spans.source
-    cables = np.broadcast_to([0, 1], (len(spans), 2))
-    leaving, arriving = (spans.read(edges, cables)[..., :2, :] for edges in bent_edges(motion))
-    edges = np.stack(same_degree(leaving, arriving), axis=2)  # (spans, cable, end, 2, degree + 1)
-    left_normals = edges[..., ::-1, :] * [[-1.0], [1.0]]
-    directions = unit(Enclosed(left_normals).middle)  # (spans, cable, end, 2)
-    line_normal = unit(np.sum(directions[:, 0] - directions[:, 1], axis=1))[:, None, None]
-    away_from_line = line_normal * [[[1.0]], [[-1.0]]]  # for each cable
-    turned = Enclosed(left_normals, spans.noise).dot(away_from_line)
-    contacts = Enclosed(spans.read(motion.contacts.coefficients, cables), spans.noise).xy
-    places = contacts.dot(line_normal).range
-    gap = np.min(places.low[:, 0], axis=-1) - np.max(places.high[:, 1], axis=-1) - MIN_GAP
-    smallest_turn = np.min(turned.lower.value, axis=(1, 2))
-    return Bound(np.minimum(gap, smallest_turn), np.full(len(spans), 0.5))
 
 
 INTERLACING = CheckRule(

@@ -18,6 +18,7 @@ from hitchopt.errors import (
     Missing,
     UnitWarning,
 )
+from hitchopt.retired import gone
 from hitchopt.storage.interrupts import EXIT_INTERRUPTED, exit_on_signals
 
 EXIT_USAGE = 2  # Exit code of invalid files and usage
@@ -47,6 +48,14 @@ class SafeGroup(click.Group):
         for module in {self.modules.get(cmd_name)} - {None} or {*self.modules.values()}:
             import_module(f"hitchopt.{module}")
         return super().get_command(ctx, cmd_name)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command, or raise UsageError for an unknown name."""
+        if sentence := gone(f"hitchopt {args[0]}"):
+            raise click.UsageError(sentence, ctx)
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands and their full summaries under their headings."""
@@ -131,7 +140,10 @@ def report_usage(error: click.UsageError) -> None:
     """Write the usage of the command and the error to stderr."""
     if error.ctx is not None:
         say(f"{error.ctx.get_usage()}\nTry '{error.ctx.command_path} --help'.\n", err=True)
-    say(f"error: {error.format_message()}", err=True)
+    sentence = ""
+    if isinstance(error, click.NoSuchOption) and error.ctx is not None:
+        sentence = gone(f"{error.ctx.info_name} {error.option_name}")
+    say(f"error: {sentence or error.format_message()}", err=True)
 
 
 def report_error(error: HitchoptError) -> None:

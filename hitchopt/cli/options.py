@@ -11,6 +11,7 @@ import click
 from hitchopt.cli import main
 from hitchopt.cli.output import output
 from hitchopt.errors import UNKNOWN_KEY, FileError, InputError
+from hitchopt.retired import gone, refuse_retired
 
 if TYPE_CHECKING:
     from hitchopt.values.fields import Key
@@ -58,6 +59,16 @@ class WholeNumber(click.types.IntParamType):
             raise InputError(_key(param), value, "an integer", "use a whole number") from None
 
 
+class Choice(click.Choice[str]):
+    """One of some words."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the word; raises BadParameter for others."""
+        if ctx is not None and (sentence := gone(f"{ctx.info_name} {_key(param)} {value}")):
+            raise click.UsageError(sentence, ctx)
+        return super().convert(value, param, ctx)
+
+
 def _key(param: click.Parameter | None) -> str:
     """Return the name of an option, or of an argument as help shows it."""
     if isinstance(param, click.Option):
@@ -94,7 +105,7 @@ def option(
     else:
         settings |= {"default": value, "nargs": len(value) if isinstance(value, tuple) else 1}
     if choices:
-        settings["type"] = click.Choice(choices)
+        settings["type"] = Choice(choices)
     elif value is False:
         settings["is_flag"] = True
     made = click.Option(names.split(), **settings, **more)
@@ -155,6 +166,7 @@ def _assignment(option: str, pair: str, keys: Mapping[str, Key]) -> tuple[str, A
     if not equals:
         raise InputError(option, pair, "KEY=VALUE", f"write {next(iter(keys))}=0.1")
     if name not in keys:
+        refuse_retired(f"{option} {name}")
         raise InputError(option, name, UNKNOWN_KEY, closest_word(name, list(keys)))
     return name, keys[name].from_file(f"{option} {name}", parse_yaml(value, option))
 

@@ -37,6 +37,8 @@ SAGGING_LEG_TOLERANCE = 1e-2
 ALTITUDE_TOLERANCE = 1e-9  # [m] Altitudes that differ by less are the same
 UNIT_ERROR_RATIO = 100.0  # Edge over cable beyond which one of the two is probably in another unit
 
+OR_OPEN = "use three, or an open chain (topology: open)"  # Remedy for two robots
+
 
 def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:
     """Return ``polygon`` as an outline with the team's topology and count, or raise InputError."""
@@ -44,8 +46,7 @@ def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:
     closed = team.layout.closed
     points = team.layout.points
     if closed and team.robots == 2:
-        remedy = "tie two cables around an object, or use three"
-        raise InputError("robots", 2, "at least 3 if cables hold a polygon", remedy)
+        raise InputError("robots", 2, "at least 3 if cables hold a polygon", OR_OPEN)
     if not isinstance(polygon, Outline):
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
     if polygon.closed != closed:

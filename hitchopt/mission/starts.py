@@ -10,7 +10,7 @@ import numpy as np
 from hitchopt.errors import Circumstance, InputError, Missing, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_error
+from hitchopt.hitch.hitch import OR_OPEN, UNIT_ERROR_RATIO, checked_polygon, count_error
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.planners.ends import SlackSplit
 from hitchopt.steps.flying import SWARM_PLACES, check_count
@@ -143,6 +143,9 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
         places: Array = SWARM_PLACES.check("start", start)
         check_count("start", places, team)
         return places
+    if team.layout.closed and team.robots == 2 and not isinstance(start, DronesStart):
+        key = f"teams.{name}.robots" if name else "team.robots"
+        raise InputError(key, 2, "at least 3 if the start is a hitch", OR_OPEN)
     if not isinstance(start, Hitch):
         return start.resolved_for(team)
     if start.team is not team:

@@ -77,8 +77,7 @@ class ObjectStage:
         begin, end = step.stages
         if self.stage is not begin:
             kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
-            remedy = f"{kinds} an object, in this order; two robots tie, lift, carry, "
-            remedy += "set_down and untie"
+            remedy = f"{kinds} an object, in this order"
             current = str(self.stage)
             required = str(begin)
             if Stage.OPEN in (self.stage, begin):

@@ -61,8 +61,7 @@ def object_of(task: StepTask, name: str) -> SolidObject:
     if not task.before.team.layout.closed:
         raise refused_value(Feature.HOLDING, Neighbour.CHAINS, "open", RequestError)
     if body.fixed:
-        remedy = "omit it, or only tie two cables around it"
-        raise RequestError(f"{key}.fixed", True, "false if it is lifted", remedy)
+        raise RequestError(f"{key}.fixed", True, "false if it is lifted", "omit it")
     if body.friction == 0.0:
         bound, remedy = "above 0 if it is held", "only friction moves it along with the cables"
         raise RequestError(f"{key}.friction", 0.0, bound, remedy)

@@ -150,7 +150,7 @@ class StepTask:
         body = self.requirements.objects[grasp.object].moved_to(place)
         hitch = self.before.hitch
         hold = grasp.hold
-        if hold is not None and hold.team.robots > 2:  # two clasps have no outline
+        if hold is not None:
             drop = float(hold.drop(grasp.tension, float(grasp.carried)))
             hitch = hold.hitch(body, below + drop)
         after = replace(

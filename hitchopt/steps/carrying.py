@@ -143,7 +143,6 @@ class Grasp(TensionStep):
 class Lift(Step):
     """Transfer the object's weight to the clasps, and lift it vertically."""
 
-    needs_hitch: ClassVar[bool | None] = None  # two cables around an object have no outline
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.LIFTED)
     by: Annotated[float, Key(LENGTH, "Height to lift", 0.5)]
     duration: Seconds = None
@@ -155,7 +154,6 @@ class Lift(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical ascent."""
         planner = task.held
-        object_of(task, planner.state.object)  # two cables may be tied around any
         to = goal_of(self, task.requirements, planner.state.object)
         moves = [planner.transfer(0.0, 1.0), planner.carry(to, LIFT_SPEED)]
         return self.plan_of_moves(task, replace(task.grasp, carried=True), moves)
@@ -169,7 +167,6 @@ class Carry(Step):
     Where objects are in the way, it flies beside them, with a stop or two.
     """
 
-    needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.LIFTED)
     object: ObjectOf
     to: Place
@@ -211,7 +208,6 @@ class Carry(Step):
 class SetDown(Step):
     """Lower the object onto its support, and transfer its weight to it."""
 
-    needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.GRASPED)
     object: ObjectOf
     duration: Seconds = None
@@ -272,12 +268,7 @@ class Leave(Step):
 @documented
 @dataclass(frozen=True, eq=False)
 class TransportObject(TensionStep):
-    """Carry an object to a new position, in seven steps, or more with ``via``.
-
-    Two robots tie their cables around it, and untie them.
-    """
-
-    needs_hitch: ClassVar[bool | None] = None
+    """Carry an object to a new position, in seven steps, or more with ``via``."""
 
     object: ObjectOf
     to: Place

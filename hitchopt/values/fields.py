@@ -38,6 +38,7 @@ from hitchopt.errors import (
     UnitWarning,
     joint_error,
 )
+from hitchopt.retired import gone, refuse_retired
 from hitchopt.values import (
     FLAG,
     LIST,
@@ -216,7 +217,8 @@ def check_keywords(name: str, valid: Sequence[str], keywords: Iterable[str]) -> 
     stated = [word for word in valid if word != "self"]
     for each in keywords:
         if each not in valid:
-            raise TypeError(f"{name}() has no argument {each!r}; {closest_word(each, stated)}")
+            remedy = gone(f"{name.lower()}.{each}") or closest_word(each, stated)
+            raise TypeError(f"{name}() has no argument {each!r}; {remedy}")
 
 
 def suggest_keywords(function: Callable[P, T], name: str = "") -> Callable[P, T]:
@@ -315,6 +317,7 @@ def arguments_from(
         """Return the name and value of a constructor's argument; no name for a default."""
         path, value = join_key(key, name), data.get(name, Missing())
         if name not in fields_by_key:
+            refuse_retired(path)
             raise InputError(path, value, UNKNOWN_KEY, remedies[name])
         field = fields_by_key[name]
         declared = keys[field]
@@ -695,6 +698,7 @@ def single_key(
             raise InputError(key, value, bound, f"write {example}")
         ((kind, content),) = value.items()
         if kind not in kinds:
+            refuse_retired(join_key(key, kind))
             remedy = closest_word(kind, list(kinds))
             for each in kinds:
                 remedy = remedy.replace(f"mean {each}?", f"mean {example_of(each)}?")

@@ -122,12 +122,6 @@ class Spans:
         """Return legs from their inner ends; zero at the ends of a chain."""
         return self.point(i) - self.point(self.plan.anchor[i])
 
-    def halves(self, k: Index, end: int) -> list[list[Line]]:
-        """Return both ends of edge and leg beyond the contact at an end of cables, inside first."""
-        inner = self.point(self.plan.edges[3 * end, k])
-        outer = self.point(2 * k + end)
-        return [[self.point(self.plan.edges[1 + end, k]), inner], [inner, outer]]
-
     def ends(self, k: Index, b: int = -1) -> list[Line]:
         """Return both drones of cables in the frame of body b."""
         return [self.local(b, self.point(2 * k + end)) for end in (0, 1)]

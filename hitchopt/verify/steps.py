@@ -400,11 +400,6 @@ def risen(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
     return last - first - np.array([0.0, 0.0, value])
 
 
-def clasped_at(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
-    """Return differences of clasps' heights above an object's base."""
-    return s.vertices()[:, 2] - s.pose(s.held(step))[2] - value
-
-
 def flown(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     """Return differences of drones from their goals."""
     return s.drones() - np.array(value, dtype=float)
@@ -471,8 +466,6 @@ STEP_KEYS: dict[str, Shows] = {
     "transport_object.yaw_deg": object_turned,
     "transport_object.lift": highest,
     "transport_object.via": via,
-    "tie.around": names_object,
-    "tie.at": clasped_at,
     "fly.goal": flown,
     "release.to": on_spots,
     "release.assign": assigned_spots,
@@ -508,11 +501,9 @@ IMPLIED: dict[str, dict[str, Any]] = {
     "lift": {"holds": True},
     "carry": {"holds": True},
     "set_down": {"holds": True},
-    "tie": {"holds": True},
     "enclose": {"holds": False},
     "loosen": {"holds": False},
     "leave": {"holds": False},
-    "untie": {"holds": False},
     "transport_object": {"holds": False},
 }
 """Keys of ``IMPLICIT`` by step; every step ends at rest unless it blends."""

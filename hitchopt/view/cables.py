@@ -89,7 +89,6 @@ def _above_and_below_ground(
     radius = max_radius
     times, shares = _hooked_shares(motion, t)
     points = _free_cables(motion, drones, np.linspace(0.0, 1.0, POINTS))
-    np.searchsorted(motion.drones.breaks[1:-1], t, side="right")
     samples = np.flatnonzero(shares > 0.0)
     if len(samples):
         times = times[samples]

@@ -228,6 +228,18 @@ def test_hanging_cables_alone_approach_an_object_at_rest(distance: float, rise: 
     assert displacement == pytest.approx(distance - motion.requirements.separation.object, rel=1e-4)
 
 
+def test_fixed_objects_may_touch_the_ceiling() -> None:
+    places = np.array([[-0.5, 0, 1.5], [0.5, 0, 1.5], [-0.5, -1, 1.5], [0.5, -1, 1.5]])
+    drones = PiecewisePolynomial.constant([0.0, 1.0], places)
+    team, arena = Team(2, 1.2, topology="open"), Arena([-3.0, -3.0, 0.0], [3.0, 3.0, 2.2])
+    radii = list[float]()
+    for top in (2.1, 2.2):
+        column = ho.SolidObject(Section(radius=0.1), 0.0, top, 1.0, at=[0.0, 1.0, 0.0], fixed=True)
+        motion = free_motion(team, drones, objects={"column": column}, arena=arena)
+        radii.append(radius_of(with_tracking(motion, ho.Tube(0.01, 0.01))).worst)
+    assert radii[1] == pytest.approx(radii[0])
+
+
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 )

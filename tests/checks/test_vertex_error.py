@@ -179,7 +179,7 @@ def moved(motion: Motion, matrix: Array, shift: Array) -> Motion:
         curve = getattr(motion, name)
         mapped = np.einsum("ij,...jk->...ik", matrix, curve.coefficients) + shift[:, None]
         curves[name] = replace(curve, coefficients=mapped)
-    plain = {"leg_tensions": PLAIN, "contacts": PLAIN, "anchors": PLAIN}
+    plain = {"leg_tensions": PLAIN, "contacts": PLAIN}
     return replace(motion, **curves, **plain)
 
 
@@ -212,7 +212,7 @@ def test_errors_are_those_of_renumbered_robots() -> None:
         )
         for name, by in curves.items()
     }
-    plain = {"leg_tensions": PLAIN, "contacts": PLAIN, "anchors": PLAIN}
+    plain = {"leg_tensions": PLAIN, "contacts": PLAIN}
     team = replace(motion.team, cable_length=np.roll(motion.team.cable_length, -2))
     other = replace(motion, team=team, **rolled, **plain)
     pairs = zip(errors_at_rests(motion), errors_at_rests(other), strict=True)

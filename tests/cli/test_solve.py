@@ -31,7 +31,7 @@ LONG = {
     "carry_box", "carry_tray", "crazyflie_triangle", "form_hexagon", "form_thirty_gon",
     "form_with_friction", "grip_drum", "lay_twelve", "octagon_turned", "paper_experiment_1",
     "past_a_star_tip",
-    "roll_32_gon", "tie_carry_untie", "two_robots_drum", "two_robots_lip", "weight_form_and_carry",
+    "roll_32_gon", "tie_carry_untie", "weight_form_and_carry",
 }  # fmt: skip
 
 
@@ -55,8 +55,7 @@ def test_swarms_are_planned_as_before(path: Path) -> None:
 
 
 LONG_REFUSALS = {
-    "form_cable_too_short", "form_ceiling_too_low", "same_goal", "two_robots_low",
-    "two_robots_smooth_lip",
+    "form_cable_too_short", "form_ceiling_too_low", "same_goal",
 }  # fmt: skip
 
 

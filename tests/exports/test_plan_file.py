@@ -29,7 +29,6 @@ from hitchopt.mission.loading import request_in
 from hitchopt.motion.motion import CURVES, Motion
 from hitchopt.motion.plan_file import read_plan, read_saved_plan, write_plan
 from hitchopt.motion.request import check_request, decoded, encoded, request_of
-from hitchopt.motion.retiming import truncated
 from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.verify import UnreadableError, read
@@ -163,7 +162,7 @@ def walled() -> Motion:
     [
         *(hitch_plan, swarm_plan, controlled, calibrated, walled, with_swarm),
         *("open_arc", "form_triangle", "triangle", "two_teams", "beside_a_show"),
-        *("two_robots_drum", "friction"),
+        "friction",
         *(
             pytest.param(name, marks=pytest.mark.slow)
             for name in ("carry_tray", "grip_drum", "swarms/head_on")
@@ -212,8 +211,7 @@ def test_requests_are_in_the_order_of_the_problem(formed: Path) -> None:
     assert request["limits"].tilt == pytest.approx(np.radians(45.0))
 
 
-STORED = [name for name in CURVES if name != "anchors"]  # which are stored for bent cables only
-ARRAYS = ("format", "settings", *(GROUP + name for name in ("breaks", *STORED)))
+ARRAYS = ("format", "settings", *(GROUP + name for name in ("breaks", *CURVES)))
 
 SPANS = "e = a['breaks'][-1]; r['phases'] = [p | {'start': e * x, 'end': e * y} for x, y in %s]"
 
@@ -326,21 +324,6 @@ def test_objects_are_carried_as_requested(tmp_path: Path, old: str, new: str, ke
     assert old in text
     reason = reason_of_refusal(tmp_path, text.replace(old, new), planned("carry_box").motion)
     assert f"mission[1].transport_object.{key} is not as requested" in reason
-
-
-def test_what_a_step_says_of_its_end_is_shown_by_the_motion(tmp_path: Path) -> None:
-    """Of the height at which cables are tied, and of the ground on which drones land."""
-    text = (PROBLEMS / "two_robots_drum.yaml").read_text()
-    motion = planned("two_robots_drum").motion
-    assert not reason_of_refusal(tmp_path, text, motion)
-    for height in ("0.31", "0.36"):
-        changed = text.replace("at: 0.35", f"at: {height}")
-        assert "mission[0].tie.at" in reason_of_refusal(tmp_path, changed, motion)
-    assert not reason_of_refusal(
-        tmp_path, text.replace(", at: 0.35", ""), motion
-    )  # planners choose
-    hovering = truncated(motion, motion.duration - 0.3)
-    assert "mission[5].land.on_the_ground" in reason_of_refusal(tmp_path, text, hovering)
 
 
 ASKED = (

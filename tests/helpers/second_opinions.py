@@ -19,7 +19,6 @@ from hitchopt.verify import cables, consistency, links, objects, teams, tying
 Rows = Callable[..., Iterator[second.Row]]
 OF_WHOLE: set[Rows] = {consistency.jumps, links.interlacing}
 OF_TAUT: set[Rows] = {cables.taut_cables}
-OF_BENT: set[Rows] = set()
 OF_BODIES: set[Rows] = {
     *(objects.resting, objects.gripped, objects.steady, objects.clear_objects),
 }
@@ -57,8 +56,6 @@ def opinion(path: Path, *functions: Rows) -> Iterator[second.Row]:
             yield from chain(*map(rows, own))
         elif rows in OF_TAUT:
             yield from chain(*(rows(p) for p in own if np.any(p.taut)))
-        elif rows in OF_BENT:
-            pass
         elif rows in OF_BODIES:
             yield from chain(*(rows(p, b) for p in own for b in range(len(p.bodies))))
         elif rows in OF_PAIRS:

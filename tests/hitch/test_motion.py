@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,7 +15,6 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.retiming import cut
 from hitchopt.motion.states import states_at
-from hitchopt.planners.timing.timed_motion import in_duration
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from tests.helpers.plans import planned
@@ -107,36 +105,6 @@ def test_cables_change_their_state_at_breaks() -> None:
         replace(motion, phases=shifted)
     with pytest.raises(InputError, match=r"phases\.state"):
         replace(motion, phases=(*motion.phases[:3], replace(others[1], state=CableState.NONE)))
-
-
-def relabelled(motion: Motion, state: CableState) -> Motion:
-    """Return the motion with another state of the cables, in its own time."""
-    start, end = motion.drones.breaks[[0, -1]].tolist()
-    return motion.replaced(phases=(Phase("straddle", 0, start, end, state=state),))
-
-
-RETIMED: dict[str, tuple[float, Callable[[Motion], Motion]]] = {
-    "in half the time, without phases": (0.5, lambda own: in_duration(own, 0.5 * own.duration)),
-    "slowed down": (2.0, lambda own: own.slowed(2.0)),
-    "hitched": (1.0, lambda own: relabelled(own, CableState.HITCHED)),
-    "hanging free": (1.0, lambda own: relabelled(own, CableState.FREE)),
-}
-
-
-@pytest.mark.parametrize("change", RETIMED)
-def test_inner_ends_of_bent_cables_outlast_other_times_and_phases(change: str) -> None:
-    """In all other states legs end at the vertices."""
-    motion = planned("two_robots_drum").motion
-    index = [phase.name for phase in motion.phases].index("straddle")
-    own = cut(motion, *(np.flatnonzero(motion.phase_of_piece == index)[[0, -1]] + [0, 1]).tolist())
-    factor, changed = RETIMED[change][0], RETIMED[change][1](own)
-    hitched, bent = (relabelled(changed, x) for x in (CableState.HITCHED, CableState.BENT))
-    times = np.linspace(0.0, own.duration, 9)
-    expected = own.inner_ends.at(times)
-    np.testing.assert_allclose(bent.inner_ends.at(factor * times), expected, atol=1e-12)
-    clasps = own.vertices.at(times)[:, own.team.layout.anchors].reshape(expected.shape)
-    np.testing.assert_allclose(hitched.inner_ends.at(factor * times), clasps, atol=1e-12)
-    assert np.max(np.abs(clasps - expected)) > 0.1
 
 
 def rotation_of(quaternions: Array) -> Rotation:

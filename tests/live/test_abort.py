@@ -13,20 +13,17 @@ from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.checks.registry import RULE_OF
 from hitchopt.cli import main
 from hitchopt.cli.planning import PACKAGE
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.simulation.task import TeamTask
-from hitchopt.live.abort import Abort, Aborts, abort_table
+from hitchopt.live.abort import Aborts, abort_table
 from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, survivable
-from hitchopt.live.player import Player
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.motion import CableState, Phase
 from hitchopt.motion.plan_file import read_plan
-from hitchopt.motion.retiming import on_clock
 from hitchopt.trajectory import PiecewisePolynomial
-from tests.helpers.plans import planned, planned_of
+from tests.helpers.plans import planned
 
 
 @cache
@@ -115,87 +112,6 @@ def test_impossible_aborts_are_refused() -> None:
     for time, how, key in ((-1.0, "hold", "t"), (1e3, "hold", "t"), (0.1, "stay", "how")):
         with pytest.raises(ho.InputError, match=f"^{key} "):
             aborts_of("triangle").plan(time, how)
-
-
-def moves_of_standing(motion: Motion, found: Abort, time: float) -> float:
-    """Return how far objects move that stand at the time of the command [m]."""
-    times = np.linspace(time, found.flight.duration, 500)
-    standing = motion.load_share.at(time) < 0.999
-    moves = np.ptp(found.flight.poses.at(times)[:, standing], axis=0)
-    return float(np.max(moves, initial=0.0))
-
-
-DOWN = 3.0  # Longest descent of free drones in these plans, with a stop before it [s]
-
-COLUMN = {
-    "team": {"robots": 2, "cable_length": 2.4, "cable_density": 0.005, "tension": 1.0},
-    "limits": {"tilt_deg": 60},
-    "objects": {"column": {"circle": 0.12, "to": 0.5, "at": [0.3, 0.2, 0.0], "fixed": True}},
-    "start": {
-        "drones": {
-            "q": [[-0.7, 0.7, 0], [1.3, -0.3, 0]],
-            "r": [[1.3, 0.7, 0], [-0.7, -0.3, 0]],
-        }
-    },
-    "mission": [
-        {"tie": {"around": "column", "at": 0.3}},
-        {"hold": {"seconds": 30}},
-        {"untie": {}},
-        {"land": {}},
-    ],
-}
-"""Two cables that are tied around a column, and untied much later."""
-
-
-@cache
-def around_objects(name: str) -> ho.Plan:
-    return planned_of(COLUMN) if name == "column" else planned(name)
-
-
-@pytest.mark.parametrize(
-    ("name", "phase", "share"),
-    [
-        ("two_robots_drum", "straddle", 0.8),
-        pytest.param("column", "straddle", 0.9, marks=pytest.mark.slow),
-        *(
-            pytest.param("two_robots_drum", phase, 0.5, marks=pytest.mark.slow)
-            for phase in ("tighten", "loosen")
-        ),
-        *(
-            pytest.param("two_robots_drum", phase, share, marks=pytest.mark.slow)
-            for phase in ("tension", "lower", "lay", "roll", "lift", "carry", "unstraddle")
-            for share in (0.1, 0.5, 0.9)
-        ),
-    ],
-)
-def test_landings_begin_nothing_around_objects(name: str, phase: str, share: float) -> None:
-    """They move nothing that stands, and take no longer than the way back and a descent."""
-    motion = around_objects(name).motion
-    span = next(p for p in motion.phases if p.name == phase)
-    time = span.start + share * (span.end - span.start)
-    aborts = Aborts(ho.Flight.of(motion))
-    try:
-        back = aborts.plan(time, "back").flight.duration
-    except ho.InfeasibleError:  # what has been set down stays; held objects may slip
-        back = motion.duration
-    for how in ("land", "release_and_land"):
-        found = aborts.plan(time, how)
-        assert found.certificate.certified
-        assert moves_of_standing(motion, found, time) <= 1e-9
-        assert found.flight.duration <= back + DOWN
-        assert not found.flight.phases[-1].formed
-
-
-def test_tensions_that_vanish_stay_zero_on_another_clock() -> None:
-    """Where cables are relaxed on the way to where drones land."""
-    motion = planned("two_robots_drum").motion
-    end = next(p.end for p in motion.phases if p.name == "slacken")
-    for start in (p.start for p in motion.phases if p.name in ("loosen", "unroll", "raise")):
-        player = Player(motion, start + 0.2, 0.0)
-        player.seek(end)
-        thrust = RULE_OF["thrust"].check(on_clock(motion, player.ahead))
-        assert thrust is not None
-        assert thrust.holds
 
 
 def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> None:

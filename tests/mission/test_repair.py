@@ -32,7 +32,6 @@ from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.knob import Edit, altitude_knobs
 from hitchopt.steps.moving import Hold
 from hitchopt.storage.yaml_file import read_yaml, split_key
-from hitchopt.verify import verify
 from tests.helpers.clocks import Clock
 from tests.helpers.plans import INFEASIBLE, PROBLEMS
 from tests.helpers.problem_cases import hitch_start, triangle
@@ -689,70 +688,3 @@ def test_controllers_are_replaced_by_those_of_the_same_firmware() -> None:
 
 PX4_GAINS = {"kp": [20.0, 45.0], "kd": [10.0, 30.0], "ki": 0.0}
 """Gains for 2 kg of docs/how_to/before_you_fly.md."""
-
-DRUM = {"drum": {"circle": 0.15, "to": 0.4, "mass": 0.2, "friction": 0.5, "at": [0, 0, 0]}}
-
-
-@pytest.mark.parametrize(("robots", "needed"), [(2, 0.4 * 0.2 * 9.81 / 0.5), (3, 0.0)])
-def test_two_cables_hold_drums_with_the_tension_of_the_documentation(
-    robots: int, needed: float
-) -> None:
-    """Suggestions raise the tension at least as far, and lower it no further."""
-    q = [[-1.3, 0.8, 0], [1.3, -0.8, 0], [-1.3, -3, 0]][:robots]
-    mission: list[Any] = [{"transport_object": {"object": "drum", "to": [2, 0, 0]}}]
-    if robots > 2:
-        mission.insert(0, {"form": {"polygon": EDGE.vertices.tolist(), "altitude": 1.0}})
-    for tension in (1.0, 2.0):
-        data = small(
-            team={"robots": robots, "cable_length": 2.8, "tension": tension},
-            objects=DRUM,
-            start={"drones": {"q": q, "r": [[-x, y, z] for x, y, z in q]}},
-            mission=mission,
-        )
-        problem = problem_from_dict(data)
-        knobs = {x.sign: x for x in knobs_of(problem, ()) if x.key == "team.tension"}
-        assert knobs[1].min_size == pytest.approx(max(0.0, needed / tension - 1.0))
-        lowest = tension * (1.0 - knobs[-1].max_size)
-        assert lowest == pytest.approx(max(0.1 * tension, min(needed, tension)))
-
-
-COLUMN = {"circle": 0.15, "friction": 0.5, "at": [0, 0, 0], "fixed": True}
-
-
-def under_ceiling(height: float, at: float) -> dict[str, Any]:
-    """Return the problem of a column that two cables are tied around, under a ceiling."""
-    q = [[-1.0, 0.5, 0], [1.0, -0.5, 0]]
-    return {
-        "team": {"robots": 2, "cable_length": 2.4, "cable_density": 0.005, "tension": 1.0}
-        | {"quadrotor": "paper_132g"},
-        "limits": {"tilt_deg": 60},
-        "arena": {"lower": [-3, -3, 0], "upper": [3, 3, 2.2]},
-        "objects": {"column": COLUMN | {"to": height}},
-        "start": {"drones": {"q": q, "r": [[-x, y, z] for x, y, z in q]}},
-        "mission": [{"tie": {"around": "column", "at": at}}, {"untie": {}}],
-    }
-
-
-@pytest.mark.slow
-def test_fixed_objects_may_touch_the_ceiling(tmp_path: Path) -> None:
-    plans = [ho.solve(problem_from_dict(under_ceiling(top, 0.9))) for top in (2.1, 2.2)]
-    radii = [plan.certificate["tracking_radius"].worst for plan in plans]
-    assert radii[1] == pytest.approx(radii[0])
-    plans[1].save(tmp_path / "plan")
-    assert {row.verdict for row in verify(tmp_path / "plan")} == {"proven"}
-
-
-@pytest.mark.slow
-def test_cables_are_tied_lower_or_are_shorter_under_a_ceiling() -> None:
-    data = under_ceiling(2.1, 1.2)
-    problem = problem_from_dict(data)
-    with pytest.raises(ho.InfeasibleError) as refused:
-        ho.solve(problem)
-    (violation,) = refused.value.violations
-    assert violation.constraint == "tracking_radius"
-    assert "limited by arena; raise the ceiling (arena.upper[2])" in violation.remedy
-    assert "tie it lower (mission[0].tie.at), or use shorter cables" in violation.remedy
-    by_key: Any = {s.change.key: s for s in ho.suggestions(problem, PATIENCE)}
-    assert by_key["team.cable_length"].change.relative < 0.0
-    assert by_key["mission[0].tie.at"].change.relative < 0.0
-    assert_as_suggested(data, by_key["mission[0].tie.at"])

@@ -22,7 +22,6 @@ from hitchopt.exports.lint import lint
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.live.abort import Aborts
 from hitchopt.mission.alternatives import retuning_changes
-from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.steps.moving import Hold
 from hitchopt.verify import verify
@@ -337,34 +336,6 @@ def test_a_stated_error_below_that_of_the_gains_is_warned_of(
             in notes[0]
         )
         assert plan.motion.requirements.limits.tracking == tracking
-
-
-def two_cables_with_errors(height: float) -> ho.Problem:
-    """Return the problem of two cables whose drones may be off by a height [m]."""
-    text = (PROBLEMS / "two_robots_drum.yaml").read_text()
-    tube = f"tracking: {{level: 0.05, height: {height}}}"
-    return parse_problem(text.replace("tilt_deg: 60", f"tilt_deg: 60, {tube}"))
-
-
-@pytest.mark.parametrize(
-    ("height", "words"),
-    [
-        pytest.param(
-            0.1, "cable_clearance: .* 0.1 m vertically adds to this", marks=pytest.mark.slow
-        ),
-        (0.2, r"hinge: .*0.2 m vertically: set limits\.tracking to 0\.05"),
-    ],
-)
-def test_two_cables_name_the_height_of_errors_that_keeps_them_from_being_tied(
-    height: float, words: str
-) -> None:
-    with pytest.raises(InfeasibleError, match=words):
-        ho.solve(two_cables_with_errors(height))
-
-
-@pytest.mark.slow
-def test_two_cables_are_tied_with_the_height_of_errors_that_is_named() -> None:
-    assert ho.solve(two_cables_with_errors(0.05)).certificate.certified
 
 
 def test_remedies_lower_tracking_only_to_measured_errors() -> None:

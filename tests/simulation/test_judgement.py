@@ -29,10 +29,9 @@ from hitchopt.lab.simulation.task import Cargo, Task, TeamTask
 from hitchopt.lab.simulation.world import InvalidRunError
 from hitchopt.lab.sweeps.campaign import run_campaign, save_campaign
 from hitchopt.live.lost import RELEASE_TIME, Reactions
-from hitchopt.motion.motion import CableState
 from hitchopt.objects import Section, SolidObject
 from hitchopt.view.style import save_figure
-from tests.helpers.plans import planned
+from tests.helpers import carried_plans
 from tests.helpers.scripted import changed, flight_of, regular_hitch, resting_task
 
 FAILED, NOT_SIMULATED, SUCCEEDED = "failed", "not simulated", "succeeded"
@@ -508,20 +507,14 @@ def test_contacts_of_two_cables_are_told_apart_by_where_they_are_along_them() ->
     assert at_clasps.forces.tolist() == [1.0, 2.0, 3.0, 5.0]
 
 
-@pytest.mark.parametrize(
-    "name", ["two_robots_drum", pytest.param("grip_drum", marks=pytest.mark.slow)]
-)
-def test_clasps_of_bent_edges_need_a_share_of_what_a_cable_bends_with(name: str) -> None:
-    motion = planned(name).motion
+def test_clasps_of_bent_edges_need_a_share_of_what_a_cable_bends_with() -> None:
+    motion = carried_plans.plan("drum").motion
     task = Task.of(ho.Flight.of(motion))
     held = task.cargo.held[:, 0] & np.all(task.states.tensions > 0.2, axis=1)
-    for phase in motion.phases:  # pairs that roll press less
-        if phase.state is CableState.ROLLING:
-            held &= (task.states.t < phase.start) | (task.states.t > phase.end)
     t, starts = task.states.t[held], motion.team.layout.starts
     vertices = task.states.vertices[held][:, starts]
     legs, edges = task.states.positions[held][:, 0::2], motion.contacts.at(t)[:, :, 0]
     bends = np.linalg.norm(unit(legs - vertices) + unit(edges - vertices), axis=-1)
     expected = MIN_BEARING_RATIO * task.states.tensions[held] * bends
     assert np.any(held)
-    np.testing.assert_allclose(least_bearing(task)[held], expected, rtol=0.1)
+    np.testing.assert_allclose(least_bearing(task)[held], expected, rtol=0.12)

@@ -296,19 +296,3 @@ def test_gripping_cables_are_longer_by_bends_around_objects_and_clasps() -> None
     np.testing.assert_allclose(allowance, expected, atol=1e-3)
     straight = shapes.thickness_allowance(replace(task, motion=None), FAST.diameter, 0.0)
     assert np.all(allowance > straight + 0.015)
-
-
-def test_ropes_around_an_object_have_the_length_of_their_bends_while_they_clasp() -> None:
-    """Before, they would sag by centimetres, and after, their drones would be off."""
-    motion = planned("two_robots_drum").motion
-    task = TeamTask.of(motion)
-    shares, t = shapes.clasped_shares(task), task.states.t
-    phases = {phase.name: phase for phase in motion.phases}
-    roll, unroll = phases["roll"], phases["unroll"]
-    np.testing.assert_array_equal(shares[t <= roll.start], 0.0)
-    np.testing.assert_array_equal(shares[(t >= roll.end) & (t <= unroll.start)], 1.0)
-    np.testing.assert_array_equal(shares[t >= unroll.end], 0.0)
-    assert np.all(np.diff(shares[(t > roll.start) & (t < roll.end)]) > 0.0)
-    assert np.all(np.diff(shares[(t > unroll.start) & (t < unroll.end)]) < 0.0)
-    hitched = TeamTask.of(planned("grip_drum").motion)
-    np.testing.assert_array_equal(shapes.clasped_shares(hitched), 1.0)

@@ -228,25 +228,17 @@ def test_refined_time_steps_do_not_jerk_ropes() -> None:
     assert max(peaks[620:]) < 1.5 * taut
 
 
-def test_cables_become_longer_everywhere_but_shorter_near_their_drones_alone() -> None:
-    """Shorter links along the sides of an object would catch at its corners."""
+def test_cables_become_shorter_near_their_drones_alone() -> None:
     world = hanging_cables()
     first = world.model.flexedge_length0.copy()
-    cables = world.edge_cables
-    world.shorten(np.array([-0.02, 0.01]))
-    longest = world.model.flexedge_length0.copy()
-    of_segment = 0.02 / np.count_nonzero(cables == 0)
-    np.testing.assert_allclose((longest - first)[cables == 0], of_segment)
-    world.shorten(np.array([0.0, 0.03]))
-    shorter = longest - world.model.flexedge_length0
-    for cable, by in enumerate([0.02, 0.02]):
-        of_cable = shorter[cables == cable]
+    world.shorten(np.array([0.01, 0.03]))
+    shorter = first - world.model.flexedge_length0
+    for cable, by in enumerate([0.01, 0.03]):
+        of_cable = shorter[world.edge_cables == cable]
         assert np.sum(of_cable) == pytest.approx(by)
         np.testing.assert_allclose(of_cable, of_cable[::-1])
         third = len(of_cable) // 3
         np.testing.assert_array_equal(of_cable[third:-third], 0.0)
-    world.shorten(np.array([-0.02, 0.0]))
-    np.testing.assert_allclose(world.model.flexedge_length0[cables == 0], longest[cables == 0])
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.hitch.holding import Capacity, Grip
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.lab.statics.files import save_fit
 from hitchopt.objects import Rim
 from hitchopt.planners.carrying.polygons import rest_polygons
 from hitchopt.planners.fitting import (
@@ -206,27 +205,6 @@ def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: 
     defaults: dict[str, Any] = {"outline": 0.2, "robots": 3, "compared": ()}
     with pytest.raises((ho.InputError, ho.InfeasibleError), match=words):
         ho.fit(**(defaults | options))
-
-
-def test_two_cables_are_tied_and_hold_more_than_three(tmp_path: Path) -> None:
-    fit = ho.fit(0.12, 2, tension=1.0, height=0.4, compared=(3,))
-    assert fit.notes[-1] == "two cables are tied 0.35 m above the base"
-    assert fit.holding.cable_length < 1.6
-    assert fit.holding.grip_capacity.binding == "grip"
-    assert fit.holding.grip_capacity.mass > fit.capacities("grip")[3].mass
-    assert min(fit.capacities("rest")) == 3
-    with pytest.raises(ho.InfeasibleError, match="robots binds: use 3 robots or more"):
-        fit.raise_if_too_heavy(0.01, "rest")
-    save_fit(tmp_path, fit)
-    content = json.loads((tmp_path / "fit.json").read_text())
-    assert content["enclosing"] is None
-    assert content["tie_at"] == pytest.approx(0.35)
-    with pytest.raises(
-        ho.InfeasibleError, match=r"hinge: 0\.06 m is below .* 0\.07 m of two clasps"
-    ):
-        ho.fit(0.12, 2, height=0.08)
-    with pytest.raises(ho.InfeasibleError, match="use longer cables"):
-        ho.fit(0.12, 2, cable_length=0.8)
 
 
 @pytest.mark.slow

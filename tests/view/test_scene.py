@@ -29,7 +29,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import states_at
 from hitchopt.objects.placing import in_world
-from hitchopt.view.cables import CLASPS, cable_curves, clasp_senses, wrapped_edges
+from hitchopt.view.cables import CLASPS, clasp_senses, wrapped_edges
 from hitchopt.view.film import frames, save_film
 from hitchopt.view.painter import (
     AZIMUTH,
@@ -453,21 +453,3 @@ def test_reports_and_pictures_show_all_teams(tmp_path: Path) -> None:
     assert len(data["objects"]) == 1
     plan.view(save=tmp_path / "plan.png")
     assert (tmp_path / "plan.png").stat().st_size > 20_000
-
-
-def test_bent_cables_lead_around_the_object() -> None:
-    motion = planned("two_robots_drum").motion
-    bent = [p for p in motion.phases if p.state is CableState.BENT and p.hold is not None]
-    times = np.concatenate([np.linspace(p.start, p.end, 9) for p in bent])
-    states = states_at(motion, times)
-    curves, _ = cable_curves(motion, states)
-    drones = states.positions.reshape(-1, 2, 2, 3)
-    np.testing.assert_allclose(curves[:, :, [0, -1]], drones, atol=1e-9)
-    centre = motion.poses.at(times)[:, 0, None, None, :2]
-    distances = np.linalg.norm(curves[..., :2] - centre, axis=-1)
-    assert np.min(distances) > 0.12 - 1e-3
-    lay = times >= next(p.start for p in bent if p.name == "lay")
-    assert np.max(np.min(distances[lay & (times <= bent[1].end)], axis=-1)) < 0.12 + 1e-3
-    anchors = motion.anchors.at(times)
-    nearest = np.linalg.norm(curves[:, :, None, :, :] - anchors[:, :, :, None], axis=-1)
-    assert np.max(np.min(nearest, axis=-1)) < 0.06

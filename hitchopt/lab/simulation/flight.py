@@ -85,7 +85,6 @@ class _Moment:
 
     index: int  # of the sample
     end_offsets: Array  # of thick ropes from their drones (2n, 3) [m]
-    shorter: Array  # lengths by which ropes are shorter than at the start (n,) [m]
     load_shares: Array  # of loads that cables carry (n,)
     is_slack: bool  # whether the plan's tensions are too small to calm ropes
 
@@ -108,15 +107,13 @@ class FlightInProgress:
         self._task, parts = task, task.teams
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
         end_offsets = [ropes.leg_end_offsets(part, preset.diameter) for part in parts]
-        extra = [
-            ropes.thickness_allowance(part, preset.diameter, preset.segment)
-            * np.ones((len(part.states.t), 1))
-            for part in parts
-        ]
+        extra = [ropes.thickness_allowance(part, preset.diameter, preset.segment) for part in parts]
         self._end_offsets = np.concatenate(end_offsets, axis=1)
-        self._extra_lengths = extra_lengths = np.concatenate(extra, axis=1)
+        self._extra_lengths = np.concatenate(extra)
         first = np.cumsum([part.team.robots for part in parts])[:-1]
-        lengths = np.split(team.cable_length * disturbances.cable_scale + extra_lengths[0], first)
+        lengths = np.split(
+            team.cable_length * disturbances.cable_scale + self._extra_lengths, first
+        )
         each = list[ropes.Ropes]()
         for part, sizes in zip(parts, lengths, strict=True):
             tension = ropes.largest_tension(part)
@@ -316,7 +313,6 @@ class FlightInProgress:
         is_loose = False
         if index != self._moment.index:
             self._moment = self._moment_at(index)
-            world.shorten(self._moment.shorter)
         if self._lost is not None and time >= self._lost.time:
             is_loose = self._lose(self._lost, time)
             substeps = LOSS_SUBSTEPS if time < self._lost.time + LOSS_TIME else 1
@@ -345,7 +341,7 @@ class FlightInProgress:
             return False
         self._world.let_go(lost.cable)
         share = float(np.interp(time - lost.time, LOOSE_TIMES, (0.0, 1.0)))
-        self._world.shorten(self._moment.shorter + share * lost.bends)
+        self._world.shorten(share * lost.bends)
         return True
 
     def _observe(self, time: float) -> None:
@@ -372,7 +368,6 @@ class FlightInProgress:
         return _Moment(
             index,
             self._end_offsets[index],
-            self._extra_lengths[0] - self._extra_lengths[index],
             self._task.load_shares(index),
             is_slack=self._are_slack(self._task.states.tensions[index]),
         )

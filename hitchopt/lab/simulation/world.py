@@ -164,7 +164,6 @@ class World:
         self._moving_dofs: Index = np.concatenate([self.drone_dofs, self.drone_dofs + 3], axis=1)
         self._wrenches = np.zeros((2 * count, 6))
         self._edge_lengths = self.model.flexedge_length0.copy()
-        self._longest = np.zeros(len(ropes.lengths))  # beyond the first lengths, so far [m]
         self._end_shares = np.concatenate([_end_shares(count) for count in ropes.segments])
         self._held = np.ones(len(self.edge_cables), dtype=np.bool_)  # edges of constant length
         self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
@@ -216,15 +215,9 @@ class World:
         elements[edges] = elements[edges + [1, -1]]
 
     def shorten(self, by: Array) -> None:
-        """Let cables be shorter than at first, by lengths (n,) [m]; negative for longer ones.
-
-        They become longer everywhere, as their bends need, but shorter near their drones alone:
-        shorter segments along an object's sides would catch at its corners.
-        """
-        self._longest = np.maximum(self._longest, -by)
-        longer = (self._longest / self.ropes.segments)[self.edge_cables]
-        shorter = self._end_shares * (self._longest + by)[self.edge_cables]
-        self.model.flexedge_length0[:] = self._edge_lengths + longer - shorter
+        """Let cables be shorter than at first, by lengths (n,) [m], near their drones alone."""
+        shorter = self._end_shares * by[self.edge_cables]
+        self.model.flexedge_length0[:] = self._edge_lengths - shorter
 
     @property
     def held(self) -> NDArray[np.bool_]:

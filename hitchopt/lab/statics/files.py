@@ -196,7 +196,7 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         "tension": task.tension,
         "clearance": task.clearance,
         "friction": task.friction,
-        "enclosing": None if holding.enclosing is None else holding.enclosing.vertices.tolist(),
+        "enclosing": holding.enclosing.vertices.tolist(),
         "grip": None,
         "rest": None,
         "largest_mass": {GRIP: {}, REST: {}},
@@ -252,7 +252,7 @@ def draw_fit(
         axes.set_title(title, fontsize="medium")
         axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.label_outer()
-        if polygon is None or isinstance(polygon, InfeasibleError):
+        if isinstance(polygon, InfeasibleError):
             continue
         vertices = polygon.vertices[:, :2]
         # Cables are taut around a section within the polygon

@@ -357,21 +357,6 @@ class GripHold(HoldingHitch):
     around: Array  # (n, 2) [m], clasps around the object
     open_fractions: Array  # (n,), slack split there
 
-    @classmethod
-    def tied(cls, team: Team, body: SolidObject, clasps: Array, height: float) -> GripHold:
-        """Return the grip of two cables with clasps (2, 2) [m], and equal legs."""
-        halves = np.full(team.robots, 0.5)
-        return cls(
-            team,
-            body,
-            clasps,
-            height,
-            fractions=halves,
-            roll=np.zeros(2),
-            around=clasps,
-            open_fractions=halves,
-        )
-
     def _slack(self, polygon: Array) -> Array:
         """Return the lengths (n,) [m] of both legs of cables around the object, without sag."""
         return self.team.cable_length - wraps_around(self.body.section, polygon).lengths

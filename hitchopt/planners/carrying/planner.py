@@ -361,9 +361,7 @@ class MovePlanner:
         Raises InfeasibleError if clasps would stick with too large a residual grip.
         """
         passage = self._passage((self.state.tension, after), (1.0, 0.0), name)
-        are_untied = self.hold.team.robots == 2  # clasps of two cables, before they leave
-        if not are_untied:
-            self._check_residual_grip(passage.moves)
+        self._check_residual_grip(passage.moves)
         return passage.motion
 
     def _check_residual_grip(self, moves: Sequence[Move]) -> None:

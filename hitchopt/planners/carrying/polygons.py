@@ -1,6 +1,6 @@
 """Polygons of clasps around an object and of its hold: grips and rests below rims.
 
-``best_grip`` maximises the slip load within all limits by sequential quadratic programming (SLSQP)
+``grips`` maximises the slip load within all limits by sequential quadratic programming (SLSQP)
 from several initial guesses. The search is local: failure does not prove infeasibility. Its result
 is evaluated independently.
 """
@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from hitchopt.errors import (
     violations_at,
 )
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
-from hitchopt.geometry.vectors import cross, left_of, length, turn, unit
+from hitchopt.geometry.vectors import left_of, length, turn, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
@@ -111,14 +110,6 @@ by 2 cm bend edges about another one."""
 YAW_RESERVES = (0.15, 0.0)
 """Stiffnesses of yaw over tension and size, in order of preference. Ropes 18 mm thick, with which
 crates are larger, turned one of 0.05 by 30° in simulation."""
-
-WIDER = 1.5
-"""Distance of clasps to the centroid, over that of a grip, at which two cables should not turn a
-section as they are drawn to the grip."""
-
-SKEW_WEIGHT = 100.0
-"""Weight of the squared moment there against the slip load. Without it crates turned by 30° in
-simulation."""
 
 DIFFERENCE_STEP = 1e-6  # [m] Step of central differences of margins
 
@@ -227,43 +218,19 @@ class GripTask:
         margins = self.distances(grip)
         return min((float(np.min(values)), name) for name, values in margins.items())
 
-    def offset_of_centroid(self, vertices: Array) -> Array:
-        """Return the distances (…) [m] of the centroid from lines through two clasps (…, 2, 2).
-
-        An object that hangs at two clasps tilts unless its centre of mass is below their line.
-        """
-        onward = unit(vertices[..., 1, :] - vertices[..., 0, :])
-        arms = self.section.centroid - vertices[..., 0, :]
-        return cross(onward, arms)
-
     def merit(self, grip: Grip) -> float:
         """Return the slip load over friction [N] of a grip, or minus its largest violation."""
-        if self.robots > 2 and not _is_single_turn(grip.vertices):
+        if not _is_single_turn(grip.vertices):
             return -math.inf
         size = math.sqrt(self.section.area)
         scale = np.array([1.0, 1.0, size]) * self.tension
         imbalance = float(np.max(np.abs(grip.imbalance) / scale)) - MAX_IMBALANCE
-        if self.robots == 2:
-            offset = abs(float(self.offset_of_centroid(grip.vertices)))
-            imbalance = max(imbalance, offset / size - MAX_IMBALANCE)
         shortest, _ = self.shortest(grip)
         unwrapped = -float(np.min(grip.wraps.angles))
         violation = max(-shortest, imbalance, 0.0)
         if violation > 0.0 or unwrapped >= 0.0:
             return -violation - max(unwrapped, 0.0)
-        return float(grip.slip_load(1.0) - self.tension * self.skew(grip))
-
-    def skew(self, grip: Grip) -> Array:
-        """Return how far (…) two cables that are drawn together to the grip turn its section.
-
-        It is SKEW_WEIGHT times the squared moment of wider cables, over tension and size.
-        """
-        if self.robots > 2 or self.section.radius is not None:
-            return np.zeros(grip.vertices.shape[:-2])
-        centre = self.section.centroid
-        wider = self.grip(centre + WIDER * (grip.vertices - centre))
-        moment = wider.imbalance[..., 2] / (self.tension * self.section.circumradius)
-        return np.asarray(SKEW_WEIGHT * moment**2)
+        return float(grip.slip_load(1.0))
 
 
 def _is_single_turn(vertices: Array) -> bool:
@@ -314,11 +281,6 @@ def _distances(first: Array, second: Array) -> Array:
     return length(shortest_offset(differences(first, second)))
 
 
-def best_grip(task: GripTask) -> Grip:
-    """Return the unloaded grip with the largest slip load within all limits: of ``grips``."""
-    return next(grips(task))
-
-
 def grips(task: GripTask) -> Iterator[Grip]:
     """Yield unloaded grips within all limits: the one with the largest slip load, then the others.
 
@@ -334,22 +296,20 @@ def grips(task: GripTask) -> Iterator[Grip]:
     centred = task
     if outline is not None and np.any(centre):
         centred = replace(task, section=Section(outline - centre))
-    # The best two clasps around most sections are in line with the centroid without that constraint
-    in_lines = (False, True) if task.robots == 2 else (False,)
-    for reserve, in_line in product(YAW_RESERVES, in_lines):
+    for reserve in YAW_RESERVES:
         centred = replace(centred, yaw_reserve=reserve)
-        screened = _best_refined(centred, _guesses(centred), SCREENING_ITERATIONS, in_line=in_line)
+        screened = _best_refined(centred, _guesses(centred), SCREENING_ITERATIONS)
         finalists = [grip.vertices for grip in screened[:FINALISTS]]
-        best = _best_refined(centred, finalists, MAX_ITERATIONS, in_line=in_line)[0]
+        best = _best_refined(centred, finalists, MAX_ITERATIONS)[0]
         if centred.merit(best) <= 0.0:
-            if in_line is in_lines[-1] and centred.shortest(best)[1] != "yaw":
+            if centred.shortest(best)[1] != "yaw":
                 break
             continue
         yield task.grip(best.vertices + centre)
         bent = {_corners(best)}
         for grip in screened:
             if _corners(grip) not in bent:
-                (other,) = _best_refined(centred, [grip.vertices], MAX_ITERATIONS, in_line=in_line)
+                (other,) = _best_refined(centred, [grip.vertices], MAX_ITERATIONS)
                 if centred.merit(other) > 0.0 and _corners(other) not in bent:
                     yield task.grip(other.vertices + centre)
                 bent |= {_corners(grip), _corners(other)}
@@ -362,11 +322,9 @@ def _corners(grip: Grip) -> frozenset[tuple[int, ...]]:
     return frozenset(tuple(corners) for corners in grip.wraps.bends.corners.tolist())
 
 
-def _best_refined(
-    task: GripTask, guesses: list[Array], iterations: int, *, in_line: bool
-) -> list[Grip]:
+def _best_refined(task: GripTask, guesses: list[Array], iterations: int) -> list[Grip]:
     """Return the grips that are reached from guesses (n, 2) [m], the best first."""
-    grips = [task.grip(_refined(task, guess, iterations, in_line=in_line)) for guess in guesses]
+    grips = [task.grip(_refined(task, guess, iterations)) for guess in guesses]
     return sorted(grips, key=task.merit, reverse=True)
 
 
@@ -407,10 +365,8 @@ def _guessed_angles(section: Section, symmetry: float) -> Array:
     return np.asarray(angles[np.sort(first)])
 
 
-def _refined(task: GripTask, guess: Array, iterations: int, *, in_line: bool) -> Array:
+def _refined(task: GripTask, guess: Array, iterations: int) -> Array:
     """Return the vertices (n, 2) [m] that sequential quadratic programming reaches from a guess.
-
-    Those of two clasps that are ``in_line`` have the centroid between them.
 
     Since grips of a disc have no moment and may be turned, its third equation is zero rotation of
     the vertices from the guess instead.
@@ -432,13 +388,10 @@ def _refined(task: GripTask, guess: Array, iterations: int, *, in_line: bool) ->
     def values(flat: Array) -> Array:
         """Return slip load, imbalances and margins (…, rows) at vertices (…, 2 n) [m]."""
         grip = task.grip(flat.reshape(*flat.shape[:-1], *guess.shape))
-        objective = (grip.slip_load(1.0) / task.tension - task.skew(grip))[..., None]
+        objective = (grip.slip_load(1.0) / task.tension)[..., None]
         imbalance = grip.imbalance / task.tension
         if is_disc:
             imbalance[..., 2] = (flat - guess.ravel()) @ rotation
-        elif in_line:
-            offset = task.offset_of_centroid(grip.vertices)[..., None]
-            imbalance = np.concatenate([imbalance, offset], axis=-1)
         kinds = [*task.distances(grip).values(), grip.wraps.angles]
         margins = [smallest(kind) for kind in kinds]
         return np.concatenate([objective, imbalance, *margins], axis=-1)
@@ -464,8 +417,8 @@ def _refined(task: GripTask, guess: Array, iterations: int, *, in_line: bool) ->
         """Return the gradient (2 n,) [1/m] of the cost."""
         return np.asarray(-jacobian(tuple(flat))[0])
 
-    imbalances = slice(1, 5 if in_line and not is_disc else 4)
-    margins = slice(imbalances.stop, None)
+    imbalances = slice(1, 4)
+    margins = slice(4, None)
     is_balanced = {
         "type": "eq",
         "fun": lambda flat: at(tuple(flat))[imbalances],

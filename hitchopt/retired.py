@@ -1,0 +1,42 @@
+"""What left hitchopt: each name is refused with what to use in its place, all from one table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from hitchopt.errors import Circumstance, InputError
+
+RETIRED: Mapping[str, str] = {
+    "tie": "hold objects by three robots or more: form a hitch, enclose and grasp",
+    "untie": "loosen and leave the object, then release the hitch",
+    "ho.Tie": "hold objects by three robots or more: ho.Form, ho.Enclose and ho.Grasp",
+    "ho.Untie": "use ho.Loosen and ho.Leave, then ho.Release",
+}
+"""What to use in place of each name, as users write it.
+
+That is a step ``tie``, a key ``form.by``, a command ``hitchopt sweep``, an option
+``simulate --lose``, its value ``init --kind study``, a type of file ``.svg``, or a public name
+``ho.Tie``.
+"""
+
+
+def entry_of(name: str) -> str:
+    """Return the entry of RETIRED for a name, or for a path that ends with it; empty without one.
+
+    ``mission[0].form.by`` ends with ``form.by``.
+    """
+    path = re.sub(r"\[\d+\]", "", name)
+    return next((each for each in RETIRED if path == each or path.endswith(f".{each}")), "")
+
+
+def gone(name: str) -> str:
+    """Return the sentence that refuses a name that left; empty for any other."""
+    entry = entry_of(name)
+    return f"`{entry}` is gone; {RETIRED[entry]}" if entry else ""
+
+
+def refuse_retired(key: str) -> None:
+    """Raise InputError if the key of a file, or of a record, left; ``key`` is its path."""
+    if entry := entry_of(key):
+        raise InputError(key, Circumstance(f"`{entry}` is gone"), "omitted", RETIRED[entry])

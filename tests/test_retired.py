@@ -1,0 +1,62 @@
+"""What left: every entry of the table is refused with its sentence, wherever a user writes it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+import hitchopt as ho
+from hitchopt.cli import main
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.retired import RETIRED, gone
+from tests.helpers.plans import PROBLEMS
+
+STEPS = {"tie", "untie"}
+
+OTHERS: dict[str, list[str]] = {}
+"""Command lines that use an entry which is neither a name, a command, an option nor a step."""
+
+
+def with_step(step: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "team": {"robots": 3, "cable_length": 2.4},
+        "start": {"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]], "altitude": 1.0}},
+        "mission": [{"hold": {"seconds": 1.0}}, step],
+    }
+
+
+def command_of(entry: str) -> list[str]:
+    """Return the arguments of a command line with a command or an option that left."""
+    return OTHERS.get(entry) or entry.removeprefix("hitchopt ").split()
+
+
+@pytest.mark.parametrize("entry", RETIRED)
+def test_every_entry_is_refused_with_its_sentence(entry: str) -> None:
+    assert gone(entry).startswith(f"`{entry}` is gone; ")
+    if entry.startswith("ho."):
+        with pytest.raises(AttributeError) as missing:
+            getattr(ho, entry.removeprefix("ho."))
+        assert str(missing.value) == gone(entry)
+    elif entry in STEPS:
+        with pytest.raises(ho.InputError) as refused:
+            problem_from_dict(with_step({entry: {}}))
+        assert str(refused.value) == f"mission[1].{entry}: {gone(entry)}"
+    else:
+        done = CliRunner().invoke(main, command_of(entry))
+        assert done.exit_code == 2, done.output
+        assert gone(entry) in done.output
+
+
+def test_the_command_line_names_the_line_of_a_step_that_left(tmp_path: Any) -> None:
+    text = (PROBLEMS / "triangle.yaml").read_text()
+    (tmp_path / "problem.yaml").write_text(f"{text.rstrip()}\n  - tie: {{around: drum}}\n")
+    done = CliRunner().invoke(main, ["solve", str(tmp_path / "problem.yaml")])
+    assert done.exit_code == 2
+    assert f"].tie: {gone('tie')}" in done.output
+
+
+@pytest.mark.parametrize("name", ["release", "form.assign", "tied", "retie", "ho.Lift", "tie.at"])
+def test_other_names_are_not_refused(name: str) -> None:
+    assert gone(name) == ""
