@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.checks.downwash import moves
-from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.requirements import Limits, Prism, Requirements
 from hitchopt.motion.motion import Motion, Phase
@@ -89,28 +88,8 @@ def _prism_around(body: SolidObject, slab: Slab, rise: float) -> Prism:
 
 
 def flyable_accelerations(team: Team, limits: Limits) -> Array:
-    """Return the accelerations (N,) [m/s²] that drones can reach in all directions.
-
-    Raises InfeasibleError for drones that cannot hover.
-    """
+    """Return the accelerations (N,) [m/s²] that drones can reach in all directions."""
     vertical = team.max_thrust / team.mass - GRAVITY
-    too_heavy = np.flatnonzero(vertical <= 0.0)
-    if len(too_heavy):
-        raise InfeasibleError(_weight_violation(team, drone) for drone in too_heavy.tolist())
     horizontal = GRAVITY * math.sin(limits.tilt)
     feasible = LIMIT_SHARE * np.minimum(vertical, horizontal)
     return np.minimum(feasible, limits.with_reserve.acceleration)
-
-
-def _weight_violation(team: Team, drone: int) -> Violation:
-    """Return the violation of a drone that cannot hover."""
-    return Violation(
-        "thrust",
-        team.mass[drone] * GRAVITY,
-        team.max_thrust[drone],
-        "max",
-        "N",
-        (team.drone_names[drone],),
-        "at rest",
-        "use a drone with more thrust or less mass",
-    )

@@ -207,14 +207,19 @@ MAX_LIFT = 100.0  # Largest ratio of thrust to weight; above it one of the two i
 
 
 def check_lift(mass: float, max_thrust: float, gravity: float) -> None:
-    """Raise InputError if thrust [N] and weight (mass [kg]) differ by a factor of a hundred.
+    """Raise InputError unless a drone's thrust [N] exceeds its weight, by a plausible factor.
 
-    The error is the mass's if grams fit, else the thrust's.
+    Where thrust and weight (mass [kg]) differ by a factor of a hundred, one of them is in a wrong
+    unit: the mass, if grams fit, else the thrust.
     """
     lift = max_thrust / (mass * gravity)
-    if MIN_LIFT < lift < MAX_LIFT:
-        return
     weight = f"{mass:g} kg weigh {mass * gravity:.3g} N"
+    if 1.0 < lift < MAX_LIFT:
+        return
+    if MIN_LIFT < lift <= 1.0:
+        bound = f"above the drone's weight ({weight}), or it cannot hover"
+        remedy = "state the thrust of all motors, a smaller mass, or a drone with more thrust"
+        raise InputError("max_thrust", max_thrust, bound, remedy)
     if 1.0 < 1e3 * lift < MAX_LIFT:
         bound = (
             f"in kg, its weight within a factor of 100 of max_thrust {max_thrust:g} N ({weight})"

@@ -23,7 +23,8 @@ RETUNED = {"kp": 4.75, "kd": 1.32, "ki": 0}
 
 
 def loop(controller: str, mass: float = 0.132, **gains: Any) -> FlightController:
-    return ho.Quadrotor(mass, controller=controller, gains=gains or None).loop
+    thrust = 20.0 * mass  # [N], about twice the weight
+    return ho.Quadrotor(mass, thrust, controller=controller, gains=gains or None).loop
 
 
 @pytest.mark.parametrize(

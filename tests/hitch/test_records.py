@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation
-from hitchopt.drones.quadrotor import MODELS, Quadrotor
+from hitchopt.drones.quadrotor import GRAVITY, MODELS, Quadrotor
 from hitchopt.hitch.team import Assignment, Swarm, Team
 from hitchopt.planners.forming import SwapSettings
 from tests.helpers.refusals import Refusal, assert_refused
@@ -44,6 +44,14 @@ REFUSED: list[Refusal] = [
     (lambda: Quadrotor(mass=0.0), "mass", "greater than 0"),
     (lambda: Quadrotor(max_thrust=-1.0), "max_thrust", "greater than 0"),
     (lambda: Quadrotor(stiffness=0.0), "stiffness", "greater than 0"),
+    *[
+        (lambda m=m, s=s: Quadrotor(m, s * m * GRAVITY), "max_thrust", "above the drone's weight")
+        for m in (0.03, 0.132, 7.0)
+        for s in (0.2, 0.9, 0.999)
+    ],
+    (lambda: Quadrotor(0.5), "max_thrust", "(0.5 kg weigh 4.91 N), or it cannot hover; state the"),
+    (lambda: Quadrotor(model="crazyflie_2.1", mass=0.06), "max_thrust", "or it cannot hover"),
+    (lambda: Team(3, 2.4, quadrotor={"q2": {"mass": 0.3}}), "quadrotor.q2.max_thrust", "weight"),
     *[(lambda n=n: Swarm(n), "drones", "") for n in (0, 2.0, True, "3", 10**9)],
     (lambda: Limits(speed=0.0), "speed", "greater than 0"),
     (lambda: Limits(tilt=45), "tilt", f"tilt = 45: {DEGREES}"),

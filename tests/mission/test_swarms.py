@@ -142,10 +142,8 @@ def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
     certificate = ho.separate(problem).certificate
     assert certificate.certified
     assert certificate["tilt"].worst > 4.0
-    heavy = {**data, "team": {"drones": 2, "quadrotor": {"mass": 0.5}}}
-    for changed, binds in ((heavy, "thrust"), ({**full(), "duration": 9.5}, "duration")):
-        with pytest.raises(ho.InfeasibleError, match=binds):
-            ho.solve(problem_from_dict(changed))
+    with pytest.raises(ho.InfeasibleError, match="duration"):
+        ho.solve(problem_from_dict({**full(), "duration": 9.5}))
 
 
 def test_a_goal_at_an_object_names_it() -> None:
