@@ -344,7 +344,7 @@ mission: [{hold: {seconds: 1}}]
 # fmt: off
 DISC, WIDE = ho.Section(radius=0.2), ho.Section([[-175, 125], [175, 125], [175, -125]])
 UNUSUAL: list[tuple[Callable[[], object], str]] = [
-    (lambda: ho.Team(3, 2400), "2400 m; usual values are 0.05 to 100 m; if millimetres"),
+    (lambda: ho.Team(3, 2400), "2400 m; usual values are 0.05 to 30 m; if millimetres"),
     (lambda: ho.Team(3, [2.4, 240, 2.4]), r"cable_length\[1\]: 240 m; .* if centimetres .* 2.4"),
     (lambda: ho.Team(3, 2.4, cable_density=5), "cable_density: 5 kg/m; .* grams per metre"),
     (lambda: ho.Team(3, 2.4, cable_friction=20), "cable_friction: 20 .* per cent were"),

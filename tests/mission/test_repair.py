@@ -653,6 +653,7 @@ def test_values_in_another_unit_are_converted_and_nothing_else_is_suggested() ->
     assert_as_suggested(data, suggestion)
 
 
+@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 def test_lengths_do_not_grow_twentyfold() -> None:
     problem = problem_from_dict(small(arena=ARENA))
     knobs = {(each.key, each.sign): each for each in knobs_of(problem, ())}
