@@ -209,17 +209,22 @@ def _start_time(key: str, value: Any) -> dict[str, float]:
 START_TIMES = dict_of(Kind((MAPPING,), _start_time, {}), NAME)
 
 
+def _is_swarm(team: Any) -> bool:
+    """Return whether the mapping of a team in a file is that of single drones."""
+    return isinstance(team, dict) and "drones" in team and "robots" not in team
+
+
 @contextmanager
-def _misplaced_keys(form: Mapping[str, Key]) -> Iterator[None]:
-    """State where unknown keys belong that are keys of another section."""
+def _misplaced_keys(form: Mapping[str, Key], values: Any) -> Iterator[None]:
+    """State where unknown keys belong that are keys of another section of a file's values."""
     try:
         yield
     except InputError as error:
         errors = error.errors if isinstance(error, JointInputError) else (error,)
-        raise joint_error([_with_home(each, form) for each in errors]) from None
+        raise joint_error([_with_home(each, form, values) for each in errors]) from None
 
 
-def _with_home(error: InputError, form: Mapping[str, Key]) -> InputError:
+def _with_home(error: InputError, form: Mapping[str, Key], values: Any) -> InputError:
     """Return an error of an unknown key with the place of this key in files as its remedy."""
     name = error.key.rpartition(".")[2]
     suggested = re.fullmatch(r"did you mean (\w+)\?", error.remedy)
@@ -228,31 +233,37 @@ def _with_home(error: InputError, form: Mapping[str, Key]) -> InputError:
         return error
     if name in form:
         remedy = f"write {name} at the top level of the file"
-    elif home := _home_of(name, error.key, form):
-        remedy = f"write it as {home}.{name}"
-        if home.endswith(".quadrotor"):
-            remedy += f", with a model by name as {{model: NAME, {name}: …}}"
+    elif home := _home_of(name, error.key, form, values):
+        remedy = f"write it as {home}"
+        section, _, key = home.rpartition(".")
+        if section.endswith(".quadrotor"):
+            remedy += f", with a model by name as {{model: NAME, {key}: …}}"
     else:
         return error
     return InputError(error.key, error.value, error.bound, remedy, error.place)
 
 
-def _home_of(name: str, key: str, form: Mapping[str, Key]) -> str:
-    """Return the section of a file that has a key of this name; an empty text without one.
+def _home_of(name: str, path: str, form: Mapping[str, Key], values: Any) -> str:
+    """Return the key, such as ``limits.tilt_deg``, of another section that a name means.
 
-    ``key`` is its path, of which several teams have one each.
+    ``path`` is where the name stands, of which several teams have one each. Empty without a key.
     """
-    own = re.match(r"teams\.[^.]+", key)
+    own = re.match(r"teams\.[^.]+", path)
     team = own[0] if own else "team"
-    is_swarm = form is SWARM_FORM
-    sections = {
-        "limits": keys_of(Limits).keys() - (HITCH_LIMITS if is_swarm else ()),
-        "separation": keys_of(Separation).keys() - (HITCH_SEPARATION if is_swarm else ()),
-        team: keys_of(SwarmTeam if is_swarm else Team).keys() if own or team in form else (),
-        f"{team}.quadrotor": keys_of(Quadrotor).keys() if own or team in form else (),
+    sections: dict[str, tuple[type[Any], tuple[str, ...]]] = {
+        "limits": (Limits, HITCH_LIMITS if form is SWARM_FORM else ()),
+        "separation": (Separation, HITCH_SEPARATION if form is SWARM_FORM else ()),
     }
-    field = name.removesuffix("_deg")
-    return next((place for place, fields in sections.items() if field in fields), "")
+    if own or team in form:
+        is_swarm = _is_swarm(value_at(values, split_key(team)))
+        sections[team] = (SwarmTeam if is_swarm else Team, ())
+        sections[f"{team}.quadrotor"] = (Quadrotor, ())
+    for section, (record, excluded) in sections.items():
+        for field, key in keys_of(record).items():
+            is_named = name in (field, key.name) and key.name not in excluded
+            if is_named and section != path.rpartition(".")[0]:
+                return f"{section}.{key.name}"
+    return ""
 
 
 @suggest_keywords
@@ -260,7 +271,7 @@ def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Prob
     """Return the problem that ``data`` describes with the keys of a problem file in ``folder``."""
     values: Any = plain(data)
     team = values.get("team") if isinstance(values, dict) else None
-    is_swarm = isinstance(team, dict) and "drones" in team and "robots" not in team
+    is_swarm = _is_swarm(team)
     form = SWARM_FORM if is_swarm else HITCH_FORM
     if isinstance(values, dict):
         if "teams" in values:
@@ -283,7 +294,7 @@ def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Prob
         robots = value_at(values, ("team", "robots"))
         places = f"drones: {{q: [[x, y, z], …], r: [[x, y, z], …]}}}}, {robots} points each"
         remedies = remedies | {"start": f"add start: {{{places}"}
-    with _misplaced_keys(form):
+    with _misplaced_keys(form, values):
         arguments = arguments_from(form, "", values, remedies=remedies)
     if form is TEAMS_FORM:
         arguments["team"] = arguments.pop("teams")

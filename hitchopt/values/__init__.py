@@ -154,9 +154,9 @@ SYNONYMS = {
     "duration": "seconds time",
     "friction": "mu",
     "objects": "obstacles",
-    "crazyflie_2.1": "cf cf2 cf21 cf2x crazyflie crazyflie2 crazyflie_2",
-    "crazyflie_2.1_brushless": "cf21bl cf_bl cfbl bl brushless crazyflie_brushless",
-    "crazyflie_2.1_upgraded": "cf21p cf21plus crazyflie_2.1+ upgraded thrust_upgrade",
+    "crazyflie_2.1": "cf cf2 cf21 cf2x cf2x_l250 crazyflie crazyflie2 crazyflie_2",
+    "crazyflie_2.1_brushless": "cf21b cf21bl cf_bl cfbl bl brushless crazyflie_brushless",
+    "crazyflie_2.1_upgraded": "cf21p cf21plus cf2x_t350 crazyflie_2.1+ upgraded thrust_upgrade",
     "paper_132g": "paper",
     "x260_bolt": "x260 bolt crazyflie_bolt",
     "crazyswarm2": "crazyflie crazyfly bitcraze cflib poly4d",
@@ -171,14 +171,25 @@ SYNONYMS = {
 }
 """Words that users write in place of each valid word."""
 
+MIN_SIMILARITY = 0.6  # Smallest ratio of ``difflib`` between a word and the one that it suggests
+MIN_SIMILAR = 4  # Fewest characters of a synonym that a misspelling can suggest
+
 
 def closest_word(word: str, valid: Sequence[str], fallback: str = "") -> str:
-    """Return a question that suggests a valid word: a synonym, or the closest one.
+    """Return a question that suggests a valid word: a synonym, or the one with closest spelling.
 
-    Without one the result is ``fallback``, by default a list of all valid words.
+    Misspelt synonyms count too. Without a match the result is ``fallback``, by default a list of
+    all valid words.
     """
-    matches = [name for name in valid if word.lower() in SYNONYMS.get(name, "").split()]
-    matches += difflib.get_close_matches(word[:60], valid, n=1, cutoff=0.6)
+    lowered = word.lower()[:60]
+    synonyms = {name: SYNONYMS.get(name, "").split() for name in valid}
+    matches = [name for name in valid if lowered in synonyms[name]]
+    if not matches:
+        names = {each: name for name in valid for each in synonyms[name]}
+        names = {each: name for each, name in names.items() if len(each) >= MIN_SIMILAR}
+        names |= {name.lower(): name for name in valid}
+        similar = difflib.get_close_matches(lowered, names, n=1, cutoff=MIN_SIMILARITY)
+        matches = [names[each] for each in similar]
     if matches:
         return f"did you mean {matches[0]}?"
     return fallback or f"use one of {', '.join(valid)}"

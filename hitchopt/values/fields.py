@@ -308,6 +308,9 @@ def arguments_from(
         bound = f"a mapping of {', '.join([*fields_by_key][:MAX_LISTED])}"
         raise InputError(key or "problem", f"{len(unknown)} unknown keys", bound, "remove them")
     guesses = {name: closest_word(name, [*fields_by_key]) for name in unknown}
+    keys_by_field = {field: name for name, field in fields_by_key.items()}
+    for name in keys_by_field.keys() & guesses.keys():  # such as tilt for tilt_deg
+        guesses[name] = f"did you mean {keys_by_field[name]}?"
     for name in unknown:
         if ":" in name and data[name] is None:
             guesses[name] = f"write a blank after the colon: {name.replace(':', ': ', 1)}"

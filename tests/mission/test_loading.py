@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
+import random
 import re
 import subprocess
 import sys
@@ -22,22 +24,28 @@ import hitchopt as ho
 from hitchopt.cli.planning import problem_text
 from hitchopt.errors import (
     MAX_LISTED,
+    UNKNOWN_KEY,
     Circumstance,
     FileError,
     HitchoptError,
     InputError,
     JointInputError,
 )
+from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.mission.loading import (
     load_problem,
     problem_from_dict,
     problem_schema,
 )
+from hitchopt.mission.objects import ObjectKeys
+from hitchopt.mission.starts import HitchStart
 from hitchopt.planners.forming import SwapSettings
+from hitchopt.steps import STEP_KINDS
 from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
 from hitchopt.steps.tying import Form
-from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key
-from hitchopt.values.fields import keys_of
+from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key, value_at
+from hitchopt.values import SYNONYMS
+from hitchopt.values.fields import Key, keys_of
 from tests.helpers.plans import BAD, GOOD, INFEASIBLE, PROBLEMS, header
 from tests.helpers.problem_cases import TEMPLATE, VALIDATOR, hitch_start, triangle
 from tests.helpers.refusals import memory_below
@@ -217,12 +225,127 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
         "write it as team.quadrotor.mass, with a model by name as {model: NAME, mass: …}",
     ),
     ("limits.radius", 0.1, "unknown key; write it as separation.radius"),
+    ("limits.tilt", 30, "unknown key; did you mean tilt_deg?"),
+    ("mission[2].morph.tilt", 30, "unknown key; write it as limits.tilt_deg"),
+    ("team.quadrotor[1]", "cf21B_500", "did you mean crazyflie_2.1_brushless?"),
     ("mission[2].morph.speed", 0.5, "unknown key; write it as limits.speed"),
     ("team.limits", {"speed": 0.5}, "unknown key; write limits at the top level of the file"),
     ("tilt_deg", 50, "unknown key; write it as limits.tilt_deg"),
     ("team.quadrotor[1]", "brushless", "did you mean crazyflie_2.1_brushless?"),
     (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: unknown key; use one of team, start"),
 ]
+
+
+QUADROTOR: dict[str, Any] = {"controller": "lee", "gains": {"kp": 1.0}, "tracking": {"level": 0.1}}
+BOX: dict[str, Any] = {"circle": 0.1, "at": [3, 0, 0], "rim": {"circle": 0.2, "at": 0.2}}
+COMMON: dict[str, Any] = {
+    "limits": {"speed": 0.8, "tracking": {"level": 0.1}},
+    "separation": {"radius": 0.13},
+    "arena": {"lower": [-4, -4, 0], "upper": [4, 4, 3]},
+    "keep_out": [{"polygon": [[2, 2], [3, 2], [3, 3]], "lower": 0, "upper": 2}],
+    "objects": {"box": BOX},
+}
+HITCH_TEAM: dict[str, Any] = {
+    "robots": 3,
+    "cable_length": 2.4,
+    "quadrotor": QUADROTOR,
+    "errors": {"cable_length": 0.01},
+}
+STEPS: list[dict[str, Any]] = [
+    *({name: {}} for name in STEP_KINDS),
+    {"form": {"polygon": CORNERS, "swap": {"radius": 0.2}}},
+]
+FORMS: dict[str, Any] = {
+    "hitch": COMMON
+    | {
+        "team": HITCH_TEAM,
+        "start": {"hitch": {"polygon": CORNERS, "altitude": 1.1}},
+        "mission": STEPS,
+    },
+    "drones": COMMON
+    | {"team": HITCH_TEAM, "start": {"drones": PLACES}, "mission": [FORM, {"hold": {}}]},
+    "swarm": COMMON
+    | {
+        "team": {"drones": 2, "quadrotor": QUADROTOR},
+        "start": [[-1, 0, 1], [1, 0, 1]],
+        "goal": [[1, 0, 1], [-1, 0, 1]],
+    },
+    "teams": COMMON
+    | {
+        "teams": {"a": HITCH_TEAM, "b": {"drones": 2, "quadrotor": QUADROTOR}},
+        "start": {"a": {"hitch": {"polygon": CORNERS}}, "b": [[-1, 3, 1], [1, 3, 1]]},
+        "mission": [{"a": {"hold": {}}, "b": {"fly": {"goal": [[1, 3, 1], [-1, 3, 1]]}}}],
+    },
+}
+"""Problems of every form, with every section and step; steps lack what they need."""
+
+
+def key_words() -> list[str]:
+    """The keys of all records, their fields, synonyms and misspellings, in a mixed order."""
+    keys = {
+        name
+        for definition in problem_schema()["$defs"].values()
+        for name in definition.get("properties", {})
+    }
+    fields_of_keys = {key.removesuffix("_deg") for key in keys}
+    synonyms = {word for key in keys for word in SYNONYMS.get(key, "").split()}
+    misspelt = {f"{key[:-2]}{key[-1]}" for key in keys if len(key) > 3}
+    with_unit = {f"{key.removesuffix('_deg')}_deg" for key in keys}
+    words = sorted(keys | fields_of_keys | synonyms | misspelt | with_unit)
+    random.Random(5).shuffle(words)
+    return words
+
+
+def unknown_keys(data: Any) -> list[InputError]:
+    """The errors of unknown keys of a problem's data."""
+    try:
+        problem_from_dict(data)
+    except InputError as error:
+        errors = getattr(error, "errors", (error,))
+        return [each for each in errors if each.bound == UNKNOWN_KEY]
+    return []
+
+
+def hinted_key(error: InputError) -> str:
+    """The key that the remedy of an unknown key names; empty where it lists all keys."""
+    for pattern, place in (
+        (r"did you mean (\w+)\?", error.key.rpartition(".")[0]),
+        (r"write (\w+) at the top level of the file", ""),
+        (r"write it as ([\w.\[\]]+)(?:,.*)?", ""),
+    ):
+        if match := re.fullmatch(pattern, error.remedy):
+            return f"{place}.{match[1]}".lstrip(".")
+    assert re.match("use one of |single drones have |a hitch has ", error.remedy), error
+    return ""
+
+
+@pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
+@pytest.mark.parametrize("form", FORMS)
+def test_a_hint_names_a_key_that_the_reader_accepts(form: str) -> None:
+    """A key of any record, misspelt or where it does not belong, in every section and step."""
+    words, size = key_words(), 12  # fewer than the reader lists
+    places = [(), *(path for path in paths_of(FORMS[form]) if path[0] != "title")]
+    mappings = [path for path in places if isinstance(value_at(FORMS[form], path), dict)]
+    hints = 0
+    for number, place in enumerate(mappings):
+        mixed = words[number % 6 :: 6]
+        for first in range(0, len(mixed), size):
+            data = copy.deepcopy(FORMS[form])
+            section = value_at(data, place)
+            stated = [word for word in mixed[first : first + size] if word not in section]
+            section |= dict.fromkeys(stated, 0.5)
+            for error in unknown_keys(data):
+                if not (hinted := hinted_key(error)):
+                    continue
+                follow = copy.deepcopy(FORMS[form])
+                *parents, last = split_key(hinted)
+                target = follow
+                for part in parents:
+                    target = target[part]
+                target[last] = 0.5
+                assert hinted not in {each.key for each in unknown_keys(follow)}, str(error)
+                hints += 1
+    assert hints > 50
 
 
 UNITS: list[tuple[str, object, str]] = [
@@ -261,6 +384,26 @@ def test_the_likely_unit_is_named_once(key: str, value: object, likely: str) -> 
     assert likely in messages[0]
     assert messages[0].startswith(key)
     assert len({message.split(": ", 1)[1] for message in messages}) == 1
+
+
+LENGTH_RECORDS = (Limits, Separation, HitchStart, ObjectKeys, SwapSettings, *STEP_KINDS.values())
+LENGTH_KEYS = [
+    pytest.param(key, f"{record.__name__}.{field}", id=f"{record.__name__}.{field}")
+    for record in LENGTH_RECORDS
+    for field, key in keys_of(record).items()
+    if key.kind.unit == "m" and isinstance(key.default, float) and key.default > 0.0
+]
+
+
+@pytest.mark.parametrize(("key", "name"), LENGTH_KEYS)
+def test_a_default_length_in_another_unit_is_noticed(key: Key, name: str) -> None:
+    assert key.kind.check(name, key.default) == key.default  # warnings are errors
+    for unit, size in (("centimetres", 1e-2), ("millimetres", 1e-3)):
+        with pytest.warns(ho.UnitWarning, match=f"if {unit} were meant, {key.default:g}") as caught:
+            key.kind.check(name, key.default / size)
+        (warning,) = caught
+        assert isinstance(warning.message, ho.UnitWarning)
+        assert warning.message.factor == size
 
 
 @pytest.mark.parametrize(("key", "value", "message"), FAULTS, ids=[f[2][:40] for f in FAULTS])
