@@ -197,12 +197,12 @@ def _rule_options() -> Sequence[click.Option]:
     return (assignment_option("--set limits", words, limits | semi_axes),)
 
 
-@command("path PATH", _rule_options)
-def lint(path: Path, limits: dict[str, float]) -> None:
+@command("paths PATH...", _rule_options, nargs=-1, required=True)
+def lint(paths: tuple[Path, ...], limits: dict[str, float]) -> None:
     """Check fleet files from any source and report errors.
 
-    PATH is a file or a folder of any format that `export` writes. Limits that a show declares are
-    always checked. Exits with code 3 if there are errors.
+    Each PATH is a file or a folder of any format that `export` writes, and a flight of its own.
+    Limits that a show declares are always checked. Exits with code 3 if there are errors.
     """
     from hitchopt.exports.lint import Rules
 
@@ -210,7 +210,7 @@ def lint(path: Path, limits: dict[str, float]) -> None:
     separation = ho.Separation(**semi_axes)
     rules = Rules(limits.get("speed"), limits.get("acceleration"), separation)
     with ProgressBar("reading and checking"):
-        reports = ho.lint(path, rules)
+        reports = ho.lint(paths, rules)
     entries = []
     for report in reports:
         entry = asdict(report)

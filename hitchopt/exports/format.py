@@ -34,6 +34,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices, closest_word
 
 FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes after a rotation by 180° about x
+MAX_INT16 = 32.767  # Largest coordinate in integer millimetres of 16 bits, as in Crazyflies [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +214,7 @@ class Format(ABC):
     frames: tuple[str, ...]  # supported frames, the default first
     rate: float = 0.0  # default sampling rate [Hz]; 0 for formats without samples
     accuracy: float  # maximum position error [m]
+    reach: float = MAX_INT16  # largest coordinate that receivers can store [m]
     feed_forward: str  # description of the feed-forward of cable forces
     flown_by: str = "upload"  # upload, stream (with cable forces), or empty if it is not flown
     controllers: tuple[str, ...] = CONTROLLERS  # names of controllers that can fly the files

@@ -53,7 +53,7 @@ from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
-from hitchopt.values import Array, known
+from hitchopt.values import Array, known, sequence
 from hitchopt.values import path as checked_path
 from hitchopt.values.fields import Key, Record, suggest_keywords
 from hitchopt.values.units import ACCELERATION, SPEED
@@ -70,7 +70,6 @@ TRAILING = "drones trail positions by v kd/kp"  # Lag without velocities, by gai
 DEFAULT_LIMITS = (("speed", "Velocity", 3.0), ("acceleration", "Acceleration", 10.0))
 """Name of a limit, part of its keys in shows, and default [m/s], [m/s²]."""
 
-MAX_INT16 = 32.767  # Maximum coordinate in integer millimetres of 16 bits [m]
 SPEED_OF_SOUND = 340.0  # [m/s]
 WATCHDOG_TIME = 0.5  # Time without setpoints after which a Crazyflie levels itself [s]
 
@@ -153,16 +152,25 @@ class Rules(Record):
 
 
 @suggest_keywords
-def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
-    """Return the report on a file or folder, or one per part of an export.
+def lint(path: Path | str | Sequence[Path | str], rules: Rules | None = None) -> tuple[Report, ...]:
+    """Return the reports on files or folders, one each, or one per part of an export.
 
-    ``rules`` are the limits of the flight. Raises FileError if a file is damaged or no known format
-    is found, and UnsupportedError if a library is not installed.
+    ``path`` is one path, or several of flights that are independent of each other. ``rules`` are
+    the limits of each flight. Raises FileError if a file is damaged or no known format is found,
+    and UnsupportedError if a library is not installed.
     """
-    folder = checked_path("path", path)
-    parts = listed_names(read_manifest(folder), "parts") if folder.is_dir() else []
-    paths = map(folder.joinpath, parts or [""])
-    return tuple(_report(part, Rules() if rules is None else rules) for part in paths)
+    paths = [path] if isinstance(path, Path | str) else sequence("path", path)
+    if not paths:
+        raise InputError("path", paths, "at least one path", "name a file or a folder")
+    folders = [checked_path("path", each) for each in paths]
+    parts = [part for folder in folders for part in _parts(folder)]
+    return tuple(_report(part, Rules() if rules is None else rules) for part in parts)
+
+
+def _parts(path: Path) -> list[Path]:
+    """Return the folders of an export's parts; the path itself without parts."""
+    names = listed_names(read_manifest(path), "parts") if path.is_dir() else []
+    return [path / name for name in names] or [path]
 
 
 def _report(path: Path, rules: Rules) -> Report:
@@ -371,9 +379,9 @@ def _flight_findings(
     yield from _end_findings(joint.last, names, joint.jumps, rules)
     yield from _time_findings(kind, contents, joint.longest)
     reach = joint.reach
-    if reach.size > MAX_INT16:
-        reason = f"is up to {reach.size:.4g} m from the origin; 16 bits hold {MAX_INT16} m: move it"
-        yield note("range", reach.drone, reason)
+    if reach.size > kind.reach:
+        reason = f"is up to {reach.size:.4g} m from the origin; receivers store {kind.reach:.5g} m"
+        yield note("range", reach.drone, f"{reason}: move it")
     if joint.start != 0.0:
         yield warning("start", "", f"time begins at {joint.start:g} s, not at 0; shift it")
     if _are_relative(joint.starts):

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Writer
 
-from hitchopt.errors import FileError
+from hitchopt.errors import FileError, InputError
 from hitchopt.exports import contents
 from hitchopt.exports.formats.crazyflie import write_poly_csv
 from hitchopt.exports.formats.ros2bag import message_types
-from hitchopt.exports.formats.skybrush import read_show
+from hitchopt.exports.formats.skybrush import MAX_SCALE, read_show, storage_scale
 from hitchopt.exports.lint import Report, Rules, lint
 from hitchopt.exports.options import HOMES
 from hitchopt.hitch.requirements import Separation
@@ -489,6 +489,89 @@ def test_each_limit_of_a_show(
     assert (finding.rule, finding.where) == (key, where)
     remedies = {"maxAltitude": "fly lower", "minDistance": "move them apart"}
     assert finding.message.endswith(remedies.get(key, "fly it more slowly"))
+
+
+AT_HOME: list[Any] = [[0, [5, -7, 0], []], [4, [5, -7, 3], []], [9, [5, -7, 0.5], []]]
+
+
+def lifted(points: list[Any], height: float) -> list[Any]:
+    return [[t, [x, y, z + height], controls] for t, (x, y, z), controls in points]
+
+
+@pytest.mark.parametrize(
+    ("home", "points", "told"),
+    [
+        ([5, -7, 0], AT_HOME, ""),
+        ([5.05, -7, 0.05], lifted(AT_HOME, 0.05), ""),
+        ([5, -7], AT_HOME, ""),
+        (None, AT_HOME, ""),
+        ([5, -7, -20], lifted(AT_HOME, -20), ""),  # in a valley
+        ([5, -7, 0], lifted(AT_HOME, 40), "warning: start: b: begins 40 m above the ground"),
+        ([5, -7, 40], lifted(AT_HOME, 40), "warning: start: b: begins 40 m above the ground"),
+        (None, lifted(AT_HOME, 0.3), "warning: start: b: begins 0.3 m above the ground"),
+        ([5, -7, -20], lifted(AT_HOME, -8), "warning: start: b: begins 12 m above the ground"),
+        ([8, -11, 0], AT_HOME, "warning: start: b: begins 5 m away from its home; place it"),
+        ([5, -7, 0], lifted(AT_HOME, -5), "error: ground: b: flies 5 m below the ground"),
+        (  # between its points only: a parabola
+            [5, -7, 0],
+            [*AT_HOME[:2], [9, [5, -7, 3], [[5, -7, -9]]]],
+            "error: ground: b: flies 3 m below the ground; fly higher",
+        ),
+        ([5, -7, 0], [*AT_HOME[:2], [9, [5, -7, 3], [[5, -7, -2]]]], ""),  # not the parabola
+        (["5", "-7"], AT_HOME, "warning: settings: b: its home is not a point [x, y, z]"),
+        ([10**400, -7, 0], AT_HOME, "warning: settings: b: its home is not a point"),
+    ],
+)
+def test_shows_begin_at_their_homes_and_stay_above_the_ground(
+    home: Any, points: list[Any], told: str, tmp_path: Path
+) -> None:
+    """Of two drones the second; where both are wrong, one line names the worse one."""
+
+    def found(first_home: Any, first: list[Any]) -> list[str]:
+        drones = [
+            {"settings": {"name": name, "trajectory": {"points": route}, "home": place}}
+            for name, route, place in (("a", first, first_home), ("b", points, home))
+        ]
+        path = write_zip(tmp_path / "a.skyc", {"show.json": {"swarm": {"drones": drones}}})
+        rules = ("start", "ground", "settings")
+        return [str(each) for each in report(path).findings if each.rule in rules]
+
+    east = [[t, [x + 30, y, z], []] for t, (x, y, z), _ in AT_HOME]
+    lines = found([35, -7, 0], east)
+    assert len(lines) == (told != "")
+    assert all(line.startswith(told) for line in lines)
+    (line, *others) = found([35, -7, 0], lifted(east, 0.2))
+    if "above the ground" in told:
+        assert line == f"{lines[0]} (2 drones do so)"
+    else:
+        assert "start: a: begins 0.2 m above the ground" in " ".join([line, *others])
+
+
+def test_a_show_is_stored_in_multiples_of_millimetres(tmp_path: Path) -> None:
+    """16 bits with a scale of up to 127 hold 4161 m."""
+    for height, is_noted in ((55.0, False), (4160.0, False), (4163.0, True)):
+        points = [[0, [0, 0, 0], []], [900, [0, 0, height], []], [1800, [0, 0, height], []]]
+        found = report(show_of(tmp_path / "a.skyc", {}, 0.0, d0=points))
+        assert ("note range" in said(found)) is is_noted
+        scale = storage_scale(read_show(tmp_path / "a.skyc").curves["d0"])
+        assert (scale > MAX_SCALE) is is_noted
+
+
+def test_several_paths_are_several_flights(tmp_path: Path, parts: Path) -> None:
+    """Their reports follow each other, each as if it were linted alone."""
+    for folder, drone in (("one", MOVING), ("two", JUMPING)):
+        (tmp_path / folder).mkdir()
+        polys(tmp_path / folder, drone)
+    paths: list[Path | str] = [tmp_path / "one", str(parts), tmp_path / "two"]
+    found = lint(paths)
+    assert found == tuple(each for path in paths for each in lint(path))
+    assert [each.path for each in found] == [
+        *(tmp_path / "one", parts / "part1", parts / "part2", tmp_path / "two")
+    ]
+    with pytest.raises(FileError, match="nowhere"):
+        lint([tmp_path / "one", tmp_path / "nowhere"])
+    with pytest.raises(InputError, match="at least one path; name a file or a folder"):
+        lint([])
 
 
 OLDER_KEYS = {

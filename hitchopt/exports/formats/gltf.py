@@ -10,6 +10,7 @@ interpolate linearly between samples; these lines are read back and certified.
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -47,6 +48,7 @@ class Gltf(Format):
     frames = ("enu",)
     rate = 30.0
     accuracy = 2e-3
+    reach = math.inf
     feed_forward = "not in this file: an animation for viewers"
     flown_by = ""
     needs_stiffness = False

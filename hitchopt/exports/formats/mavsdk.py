@@ -70,6 +70,7 @@ class MavsdkDroneShow(Format):
     frames = ("ned",)
     rate = 20.0
     accuracy = 2e-3
+    reach = math.inf
     feed_forward = (
         "ax, ay, az = a - F/m with the cable's force F and the mass m: PX4 adds gravity and has "
         "no model of the cable; enable acceleration feed-forward"

@@ -31,7 +31,7 @@ from functools import lru_cache
 from itertools import pairwise
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,7 +62,10 @@ from hitchopt.values import Array, counted
 
 MILLI = 1e-3  # Unit of lengths [m] and times [s] that Skybrush's server stores
 INT16_RANGE = 32768  # Number of negative values of a signed 16-bit integer
+MAX_SCALE = 127  # Largest multiple of a millimetre that the server stores, in 7 bits
 MAX_DRONES = 20_000  # Maximum number of drones of a show
+HOME_TOLERANCE = 0.1  # Largest distance of a show's first point from its home [m]
+GROUND_SAMPLES = 9  # Number of times in a piece at which its height is compared with the ground
 DEGREE = 3  # Degree of the pieces
 SMOOTH = 1  # Acceleration jumps after rounding; the small jumps of velocity are in a note
 
@@ -111,6 +114,7 @@ class SkybrushShow(Format):
     velocity_settings = "SHOW_CTRL_MODE 1 and SHOW_VEL_FF_GAIN 1, the defaults of ArduPilot's shows"
     frames = ("nwu",)
     accuracy = 2e-3
+    reach = MAX_SCALE * (INT16_RANGE - 1) * MILLI
     feed_forward = (
         "not in this file: autopilots track positions with their own controllers, and the format "
         "has no accelerations"
@@ -154,6 +158,7 @@ class SkybrushShow(Format):
             if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
                 reason = f"a piece lasts {shortest:.2g} s, which rounds to zero; omit it"
                 findings.append(error("duration", name, reason))
+        findings += _ground_findings(show)
         drones = [Trajectory(name, curve) for name, curve in show.curves.items()]
         return FileContents.of_curves(drones, "nwu", SMOOTH, findings, limits)
 
@@ -165,6 +170,55 @@ class SkybrushShow(Format):
             curves = {drone.name: drone.curve for drone in drones}
             certify_returns(folder / self.file, show, curves, task)
         return FileContents.of_curves(drones, "nwu", SMOOTH)
+
+
+def _ground_findings(show: Show) -> Iterator[Finding]:
+    """Yield findings on drones that do not begin at their homes on the ground, or fly below it.
+
+    Skybrush takes drones off from their homes: trajectories include take-off and landing. The
+    ground is at height 0, and at homes that are lower. Each finding names the worst drone.
+    """
+    away, above, below = (dict[str, float]() for _ in range(3))
+    for name, curve in show.curves.items():
+        first = curve.coefficients[0, :, 0]
+        home = show.homes[name]
+        place = np.array([*first[:2], 0.0])
+        if _is_place(home):
+            place[: len(home)] = home
+        elif home is not None:
+            yield warning("settings", name, "its home is not a point [x, y, z]; correct it")
+        ground = min(float(place[2]), 0.0)
+        away[name] = math.dist(first[:2], place[:2])
+        above[name] = float(first[2]) - ground
+        below[name] = ground - _lowest(curve, ground - HOME_TOLERANCE)
+    for level, rule, distances, words in (
+        (warning, "start", away, "away from its home; place it there, or begin at its home"),
+        (warning, "start", above, "above the ground; begin with the take-off from its home"),
+        (error, "ground", below, "below the ground; fly higher"),
+    ):
+        drones = [name for name, distance in distances.items() if distance > HOME_TOLERANCE]
+        if drones:
+            worst = max(drones, key=lambda name: distances[name])
+            verb = "begins" if rule == "start" else "flies"
+            others = f" ({len(drones)} drones do so)" if len(drones) > 1 else ""
+            yield level(rule, worst, f"{verb} {distances[worst]:.4g} m {words}{others}")
+
+
+def _lowest(curve: PiecewisePolynomial, bound: float) -> float:
+    """Return the lowest sampled height [m] of the pieces that may be below a bound."""
+    heights = curve.coefficients[:, 2]
+    low = heights[np.min(heights, axis=-1) < bound]
+    samples = bernstein.basis(np.linspace(0.0, 1.0, GROUND_SAMPLES), curve.degree)
+    return float(np.min(low @ samples.T, initial=math.inf))
+
+
+def _is_place(home: Any) -> TypeGuard[list[float]]:
+    """Return whether the home of a drone in a file is [x, y] or [x, y, z] [m]."""
+    return (
+        isinstance(home, list)
+        and len(home) in (2, 3)
+        and all(type(x) in (int, float) and abs(x) <= SkybrushShow.reach for x in home)
+    )
 
 
 def _limits(show: Show) -> tuple[dict[str, float], list[Finding]]:
@@ -234,6 +288,7 @@ class Show:
     """Contents of a show by drone; only the curves are validated."""
 
     curves: dict[str, PiecewisePolynomial]  # positions (3,) [m]
+    homes: dict[str, Any]  # where drones stand before the show [m], or None
     validation: Mapping[str, Any]  # declared limits
     outdoors: bool
     returns: dict[str, Any]  # rthPlan, or None
@@ -268,8 +323,10 @@ def read_show(path: Path) -> Show:
         }
     validation = mapping_at(mapping_at(show, "settings"), "validation")
     outdoors = mapping_at(show, "environment").get("type") == "outdoor"
-    returns = {name: each.get("rthPlan") for name, each in settings.items()}
-    return Show(curves, validation, outdoors, returns)
+    homes, returns = (
+        {name: each.get(key) for name, each in settings.items()} for key in ("home", "rthPlan")
+    )
+    return Show(curves, homes, validation, outdoors, returns)
 
 
 def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
