@@ -108,18 +108,14 @@ def errors(runs: Sequence[CampaignRun]) -> tuple[str, str]:
 
 
 METHODS = {
-    "settled": (0.1, "auto", False),
-    "settled, then corrected": (0.1, "auto", True),
-    "not settled": (0.1, False, False),
-    "without friction": (0.0, False, False),
+    "settled": (0.1, "auto"),
+    "not settled": (0.1, False),
+    "without friction": (0.0, False),
 }
-"""Friction, ``settle`` of form, and whether ``ho.Feedback`` corrects."""
+"""Friction, and ``settle`` of form."""
 
 CALM = {"noise": 0.01, "velocity_noise": 0.03, "wind": 0.05}
 """Noise and gusts only."""
-
-FEEDBACK_ERRORS = {"vertex_noise": 0.01, "vertex_delay": 0.05}
-"""Error [m] and age [s] of measured vertices in feedback."""
 
 
 def irregular(seed: int, friction: float, settle: object) -> dict[str, Any]:
@@ -140,16 +136,9 @@ def irregular(seed: int, friction: float, settle: object) -> dict[str, Any]:
 def resting(job: tuple[int, str]) -> tuple[object, ...]:
     """Return the row of a flight: vertex errors in the last second of rest."""
     seed, method = job
-    friction, settle, feedback = METHODS[method]
+    friction, settle = METHODS[method]
     plan = ho.solve(ho.problem_from_dict(irregular(seed, friction, settle)))
-    flown = ho.simulate(
-        plan,
-        preset="accurate",
-        pull_test=False,
-        seed=seed,
-        feedback=feedback,
-        perturbations=CALM | FEEDBACK_ERRORS,
-    )
+    flown = ho.simulate(plan, preset="accurate", pull_test=False, seed=seed, perturbations=CALM)
     last = flown.errors.t > flown.errors.t[-1] - 1.0
     level = flown.errors.without_sag[last]
     each = ", ".join(f"{100.0 * value:.1f}" for value in np.nanmean(level, axis=0))

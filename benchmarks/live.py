@@ -1,4 +1,4 @@
-"""Live flight: latency of retargets, of morphs like others, of feedback, and of stops.
+"""Live flight: latency of retargets, of morphs like others, and of stops.
 
 Usage: python -m benchmarks live [--retargets N] [--stops N] [--robots N ...]
 
@@ -106,21 +106,6 @@ def morphs_like(n: int, count: int) -> tuple[object, ...]:
     return n, count, *quantiles[0], *quantiles[1], float(np.mean(ratios)), max(ratios)
 
 
-def corrections(n: int, count: int = 3000) -> tuple[object, ...]:
-    """Return the row of a team: time of a step of feedback [ms]."""
-    start = hitch(n)
-    plan = ho.morph(start, start.polygon.vertices * 1.03, duration=10.0)
-    feedback, rng = ho.Feedback(plan), np.random.default_rng(0)
-    vertices = plan.at(np.linspace(0.0, plan.duration, count)).vertices
-    vertices = vertices + rng.normal(0.0, 0.01, vertices.shape)
-    times = []
-    for i, measured in enumerate(vertices):
-        start_time = time.perf_counter()
-        feedback.step(i * plan.duration / count, plan.duration / count, measured)
-        times.append(1e3 * (time.perf_counter() - start_time))
-    return n, *np.quantile(times, [0.5, 0.99]).tolist()
-
-
 def stops(stem: str, count: int) -> tuple[object, ...]:
     """Return the row of a plan stopped at random times: longest stop, certified bound, latency."""
     plan = ho.solve(PROBLEMS / f"{stem}.yaml")
@@ -147,9 +132,6 @@ def main() -> None:
     table.section("Straight morphs", "n", "goals", *plain, *like)
     for n in options.robots:
         table.row(*morphs_like(n, options.retargets))
-    table.section("Corrections", "n", "median [ms]", "p99 [ms]")
-    for n in options.robots:
-        table.row(*corrections(n))
     table.section("Stops", "plan", "longest [s]", "stoppable [s]", "found in, median [ms]")
     for stem in STOPPED:
         table.row(*stops(stem, options.stops))

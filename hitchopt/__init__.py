@@ -18,7 +18,6 @@ PUBLIC_NAMES = {
     "hitch.casadi_model": ("model",),
     "drones.controllers": ("Gains", "Tube"),
     "hitch.requirements": ("Arena", "Limits", "Prism", "Separation"),
-    "lab.feedback": ("Feedback",),
     "lab.flights.evaluation": ("evaluate",),
     "lab.flights.readers": ("read_flight",),
     "lab.simulation.report": ("simulate",),

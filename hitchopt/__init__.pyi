@@ -20,7 +20,6 @@ from hitchopt.hitch.casadi_model import model as model
 from hitchopt.drones.controllers import Gains as Gains, Tube as Tube
 from hitchopt.hitch.requirements import Arena as Arena, Limits as Limits, Prism as Prism
 from hitchopt.hitch.requirements import Separation as Separation
-from hitchopt.lab.feedback import Feedback as Feedback
 from hitchopt.lab.flights.evaluation import evaluate as evaluate
 from hitchopt.lab.flights.readers import read_flight as read_flight
 from hitchopt.lab.simulation.report import simulate as simulate

@@ -41,7 +41,7 @@ class OneLine:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore what was pickled or copied; arrays of records are read-only, as before."""
-        if is_dataclass(self):  # players, replanners and feedback change their arrays
+        if is_dataclass(self):  # players and replanners change their arrays
             for value in state.values():
                 if hasattr(value, "setflags"):
                     value.setflags(write=False)

@@ -12,6 +12,10 @@ RETIRED: Mapping[str, str] = {
     "untie": "loosen and leave the object, then release the hitch",
     "ho.Tie": "hold objects by three robots or more: ho.Form, ho.Enclose and ho.Grasp",
     "ho.Untie": "use ho.Loosen and ho.Leave, then ho.Release",
+    "ho.Feedback": "set team.cable_density, so that plans include the sag, and calibrate the team",
+    "simulate --feedback": "set team.cable_density, so that plans include the sag",
+    "--perturb vertex_noise": "vertices are no longer measured in flight: omit it",
+    "--perturb vertex_delay": "vertices are no longer measured in flight: omit it",
 }
 """What to use in place of each name, as users write it.
 

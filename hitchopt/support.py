@@ -27,7 +27,6 @@ class Feature(StrEnum):
     REPLANNER = "a replanner"
     REACTION = "a reaction to a lost drone"
     SURVIVING = "`limits.survive`"
-    FEEDBACK = "feedback"
     EDITING = "editing in the live view"
     STATICS = "statics"
     SIMULATION = "simulation"
@@ -55,10 +54,8 @@ class Neighbour(StrEnum):
     SEVERAL_TEAMS = "several teams"
     OTHERS = "`others`"
     OBJECTS = "objects"
-    KEEP_OUTS = "`keep_out`"
     LOOSE_CLASPS = "a start with loose clasps"
     INTEGRAL_GAINS = "integral gains"
-    UPLOADS = "uploaded files"
 
 
 class Refusal(NamedTuple):
@@ -76,13 +73,13 @@ class Refusal(NamedTuple):
 
 
 _ONE_TEAM = (
-    *(Feature.MOTION, Feature.END, Feature.REPLANNER, Feature.REACTION, Feature.FEEDBACK),
-    *(Feature.STATICS, Feature.CLASPS, Feature.SIMULATED_LOSS, Feature.AS_CALIBRATED),
-    *(Feature.EVALUATE, Feature.CALIBRATE),
+    *(Feature.MOTION, Feature.END, Feature.REPLANNER, Feature.REACTION, Feature.STATICS),
+    *(Feature.CLASPS, Feature.SIMULATED_LOSS, Feature.AS_CALIBRATED, Feature.EVALUATE),
+    Feature.CALIBRATE,
 )
 """Features that support a single team."""
 
-_ALONE = (Feature.REPLANNER, Feature.REACTION, Feature.FEEDBACK, Feature.SIMULATED_LOSS)
+_ALONE = (Feature.REPLANNER, Feature.REACTION, Feature.SIMULATED_LOSS)
 """Those that support no external plans next to it."""
 
 _EDITING = Refusal("one team of catenary robots", "edit the file", key="team")
@@ -154,20 +151,6 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         "chain, and distances of others from what falls and swings are not bounded",
         "plan without objects",
         key="limits.survive",
-    ),
-    (Feature.FEEDBACK, Neighbour.SINGLE_DRONES): Refusal(
-        "a Plan or Motion of a hitch", "solve or load one", key="plan"
-    ),
-    (Feature.FEEDBACK, Neighbour.OBJECTS): Refusal(
-        "feedback does not support objects, to which corrections keep no distance",
-        "fly without them",
-    ),
-    (Feature.FEEDBACK, Neighbour.KEEP_OUTS): Refusal(
-        "feedback does not support keep-outs, to which corrections keep no distance",
-        "fly without them",
-    ),
-    (Feature.FEEDBACK, Neighbour.UPLOADS): Refusal(
-        "omitted with upload", "uploaded files cannot be corrected", key="feedback"
     ),
     (Feature.EDITING, Neighbour.SINGLE_DRONES): _EDITING,
     (Feature.EDITING, Neighbour.SEVERAL_TEAMS): _EDITING,

@@ -58,10 +58,10 @@ def test_a_plan_has_the_certificate_of_its_own_flight() -> None:
 
 
 def test_copies_of_what_changes_change_on() -> None:
-    """A copy of feedback measures vertices as the original does."""
+    """A copy of a replanner replans as the original does."""
     plan = planned("triangle")
-    feedback = ho.Feedback(plan)
-    seen = plan.at(0.0).vertices + 0.01
-    for each in (copy.deepcopy(feedback), feedback):
-        each.step(0.0, 0.01, seen)
-        assert np.any(each.offsets)
+    steering = ho.Replanner(plan.motion.team, plan)
+    to = plan.end.polygon.vertices[0] + 0.02
+    for each in (copy.deepcopy(steering), steering):
+        assert each.retarget(vertex=0, to=to, at=plan.duration).accepted
+        assert each.plan.duration > plan.duration

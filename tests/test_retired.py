@@ -15,7 +15,10 @@ from tests.helpers.plans import PROBLEMS
 
 STEPS = {"tie", "untie"}
 
-OTHERS: dict[str, list[str]] = {}
+OTHERS: dict[str, list[str]] = {
+    f"--perturb {name}": ["simulate", ".", "--perturb", f"{name}=0.01"]
+    for name in ("vertex_noise", "vertex_delay")
+}
 """Command lines that use an entry which is neither a name, a command, an option nor a step."""
 
 
@@ -55,6 +58,19 @@ def test_the_command_line_names_the_line_of_a_step_that_left(tmp_path: Any) -> N
     done = CliRunner().invoke(main, ["solve", str(tmp_path / "problem.yaml")])
     assert done.exit_code == 2
     assert f"].tie: {gone('tie')}" in done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "entry"),
+    [
+        ({"feedback": True}, "simulate --feedback"),
+        ({"perturbations": {"vertex_noise": 0.01}}, "--perturb vertex_noise"),
+    ],
+)
+def test_scripts_are_told_what_left_simulate(options: dict[str, Any], entry: str) -> None:
+    with pytest.raises(ho.InputError) as refused:
+        ho.simulate("nowhere", **options)
+    assert str(refused.value) == f"{entry}: {gone(entry)}"
 
 
 @pytest.mark.parametrize("name", ["release", "form.assign", "tied", "retie", "ho.Lift", "tie.at"])

@@ -113,16 +113,11 @@ def in_company(motion: Motion, neighbour: Neighbour) -> ho.Flight:
     return ho.Flight((TeamMotion("a", motion), TeamMotion("b", other)))
 
 
-def with_requirements(**stated: Any) -> Motion:
-    return triangle().replaced(requirements=replace(triangle().requirements, **stated))
-
-
 def edit(name: str) -> None:
     path = PROBLEMS / f"{name}.yaml"
     Editing(path.read_text(encoding="utf-8"), path, SimpleNamespace())  # type: ignore[arg-type]
 
 
-WALL = ho.Prism([[5, 5], [5, 6], [6, 6], [6, 5]], 0.0, 1.0)
 HEAVY = ho.Team(3, 2.3, tension=0.7, cable_density=0.01)
 LOADED = ho.Team(3, 2.3, tension=0.7, cable_density=0.01, load=0.01)
 CHAIN = ho.Team(3, 2.3, topology="open", cable_density=0.01)
@@ -190,16 +185,6 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     (Feature.SURVIVING, Neighbour.OBJECTS): lambda: Requirements(
         ho.Limits(survive="cable"), objects={"drum": DRUM}
     ).flown_by(ho.Team(3, 2.4, release=True, quadrotor="paper_132g")),
-    (Feature.FEEDBACK, Neighbour.SINGLE_DRONES): lambda: ho.Feedback(swarm()),
-    (Feature.FEEDBACK, Neighbour.OBJECTS): lambda: ho.Feedback(
-        with_requirements(objects={"drum": DRUM})
-    ),
-    (Feature.FEEDBACK, Neighbour.KEEP_OUTS): lambda: ho.Feedback(
-        with_requirements(keep_out=(WALL,))
-    ),
-    (Feature.FEEDBACK, Neighbour.UPLOADS): lambda: Settings(
-        controller="mellinger", upload=True, feedback=True
-    ),
     (Feature.EDITING, Neighbour.SINGLE_DRONES): lambda: edit("swarms/circle_6"),
     (Feature.EDITING, Neighbour.SEVERAL_TEAMS): lambda: edit("two_teams"),
     (Feature.STATICS, Neighbour.SINGLE_DRONES): lambda: taut_times(swarm().teams[0].motion),

@@ -46,8 +46,7 @@ PAIR = ho.Swarm(2)
 LOWER, UPPER = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
 SECTION = ho.Section(radius=0.1)
 CRATE = {"crate": ho.SolidObject(SECTION, at=[1.5, 0.0, 0.0])}
-VERTICES = PLAN.at(0.0).vertices
-FEEDBACK, PLAYER = ho.Feedback(PLAN), ho.Player(PLAN)
+PLAYER = ho.Player(PLAN)
 REST: dict[str, Any] = {"limits": None, "separation": None, "arena": None}
 RECORDS: dict[str, Any] = {
     **REST,
@@ -150,9 +149,6 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.SolidObject, {"section": SECTION, "lower": 0.0, "upper": 0.3, "mass": 0.1}),
     (ho.SolidObject, {"section": SECTION, "friction": 0.5, "at": [0, 0, 0], "yaw": 0.0}),
     (ho.SolidObject, {"section": SECTION, "rim": None, "fixed": False}),
-    (ho.Feedback, {"plan": PLAN, "rate": 0.1, "reserve": 0.01, "delay": 0.05, "stiffness": None}),
-    (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": None, "drones": None}),
-    (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": VERTICES, "measured": None}),
     (ho.Replanner, {"team": TEAM, "start": START, **REST}),
     (ho.Player, {"plan": PLAN, "time": 0.0, "rate": 1.0}),
     (PLAYER.step, {"seconds": 0.01}),

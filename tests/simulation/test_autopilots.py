@@ -551,7 +551,6 @@ def test_a_stated_stiffness_scales_all_gains_of_every_controller(name: str) -> N
         ({"drones": "dji"}, "drones = 'dji': must be crazyflie or px4"),
         ({"controller": "ideal", "upload": True}, "upload = True: must be omitted without"),
         ({"controller": "pid", "estimator": "best"}, "estimator = 'best': must be ideal"),
-        ({"controller": "lee", "upload": True, "feedback": True}, "feedback = True"),
         ({"latency": 0.02}, "latency = 0.02: must be omitted without an estimator"),
         ({"latency": 0.02}, "add controller=mellinger and estimator=crazyflie"),
         ({"controller": "lee", "latency": 0.02}, "omitted without an estimator; add estimator="),
@@ -589,7 +588,6 @@ def still_task(kind: ho.Quadrotor, seconds: float = 0.1) -> Task:
         ({"controller": "mellinger"}, {"gains": {"ki": 0.0}}, ("mellinger", HELD, True)),
         ({"controller": "lee"}, {"upload": False}, ("lee", HELD, False)),
         ({"controller": "pid"}, {"upload": True}, ("pid", HELD, True)),
-        ({"controller": "lee"}, {"feedback": True}, ("lee", HELD, False)),
         ({"controller": "lee"}, {"estimator": "ideal"}, ("lee", None, True)),
         ({"controller": "lee"}, {"estimator": "one_marker"}, ("lee", ONE_MARKER, True)),
         # A controller that is given replaces all of this

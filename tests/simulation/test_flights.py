@@ -1,4 +1,4 @@
-"""Simulated flights: hitches at rest, under load, while formed, with feedback, and with objects."""
+"""Simulated flights: hitches at rest, under load, while formed, and with objects."""
 
 from __future__ import annotations
 
@@ -124,22 +124,6 @@ def test_a_planned_triangle_is_tied_and_holds_under_disturbances() -> None:
     assert np.nanmax(result.errors.without_sag[-50:]) < 0.05
     tensions = result.flight.record.tensions
     assert np.mean(tensions[:300]) < 0.4 * np.min(tensions[-50:])
-
-
-@pytest.mark.slow
-def test_feedback_from_measured_vertices_removes_the_sag() -> None:
-    start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.8], [-0.7, 0.5], [0.7, 0.5]], 1.0)
-    plan, measurement = ho.solve(start, ho.Hold(1.5)), {"vertex_noise": 0.01, "vertex_delay": 0.05}
-    result = ho.simulate(
-        plan, feedback=True, density=0.01, perturbations=measurement, pull_test=False
-    )
-    assert result.run.succeeded
-    errors = result.errors.errors
-    assert np.nanmean(errors[1:5]) > 0.05  # ropes of 10 g/m that the plan does not know
-    assert np.nanmean(errors[-20:]) < 0.02
-    corrections = result.flight.record.commanded[-1] - plan.at(plan.duration).positions
-    assert np.all(corrections[:, 2] > 0.05)  # setpoints are raised
-    assert np.all(np.linalg.norm(corrections[:, :2], axis=-1) < 0.1)
 
 
 TABLE = Section([[-0.4, -0.4], [0.4, -0.4], [0.4, 0.4], [-0.4, 0.4]])

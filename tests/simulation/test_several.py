@@ -144,13 +144,11 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
     for call in (
         lambda: plan.motion,
         lambda: plan.end,
-        lambda: ho.Feedback(plan),
         lambda: ho.Replanner(planned("triangle").motion.team, plan),
         lambda: ho.equilibrium(plan, 0.5),
         lambda: ho.tolerance(plan, cable_error=0.01),
         lambda: ho.evaluate(recording, folder),
         lambda: ho.calibrate(recording, folder),
-        lambda: Simulation.of(task, replace(BRIEF, feedback=True)),
         lambda: Simulation.of(task, replace(BRIEF, lost=Loss("a.q0", 1.0))),
         lambda: Simulation.of(task, replace(BRIEF, as_calibrated={"a.q0": {"trim": [0.1, 0.0]}})),
     ):

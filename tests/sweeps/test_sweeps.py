@@ -112,10 +112,10 @@ def test_invalid_studies_are_refused_by_key(change: dict[str, Any], words: str) 
 
 FLIGHT: dict[str, Any] = {
     "noise": 0.02, "velocity_noise": 0.05, "wind": 0.1, "steady_wind": 0.02, "lag": 0.04,
-    "cable_error": 0.01, "start_error": 0.03, "downwash": False, "vertex_noise": 0.004,
-    "vertex_delay": 0.03, "object_mass": 0.2, "object_friction": 0.3, "object_place": 0.01,
+    "cable_error": 0.01, "start_error": 0.03, "downwash": False,
+    "object_mass": 0.2, "object_friction": 0.3, "object_place": 0.01,
     "rotor_drag": 0.02, "seed": 3, "friction": 0.2, "density": 0.01, "stiffness": 6.0,
-    "cables": "clasps", "pull_test": False, "feedback": False, "controller": "lee",
+    "cables": "clasps", "pull_test": False, "controller": "lee",
     "gains": {"kp": 3.0}, "drones": "crazyflie",
     "estimator": "crazyflie", "upload": True, "latency": 0.02,
     "as_calibrated": {"q0": {"trim": [0.01, 0.0]}},

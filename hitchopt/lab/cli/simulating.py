@@ -126,7 +126,6 @@ def _settings_options() -> Sequence[click.Option]:
         key_option("--estimator", keys["estimator"]),
         key_option("--latency", keys["latency"], "SECONDS"),
         key_option("--upload/--stream", keys["upload"]),
-        key_option("--feedback/--no-feedback", keys["feedback"]),
     )
 
 

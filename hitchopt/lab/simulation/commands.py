@@ -75,7 +75,7 @@ def _of_plan(task: Task, settings: Settings) -> Settings:
     if upload is None:
         teams = [flown_team(part.team, settings) for part in task.teams]
         needs_offsets = any(np.any(team.integral_gain > 0.0) for team in teams)
-        upload = task.flight is not None and not settings.feedback and not needs_offsets
+        upload = task.flight is not None and not needs_offsets
     return replace(settings, estimator=estimator, upload=upload)
 
 
@@ -134,8 +134,6 @@ def _shown(value: object) -> object:
     return next(names, value)
 
 
-OF_FILES = ("upload", "feedback")  # Settings that an export's files state
-
 OF_LOOPS = ("controller", "gains", "estimator", "stiffness")
 """Settings that files state which hold gains."""
 
@@ -143,7 +141,7 @@ OF_LOOPS = ("controller", "gains", "estimator", "stiffness")
 def _of_files(files: Received, settings: Settings) -> Settings:
     """Return settings with controller and filter of exported files, if these hold gains."""
     unstated = Settings()
-    for name in (*(OF_LOOPS if files.loops else ()), *OF_FILES):
+    for name in ("upload", *(OF_LOOPS if files.loops else ())):
         if (value := getattr(settings, name)) != getattr(unstated, name):
             raise InputError(name, _shown(value), "omitted for an export", "its files state it")
     settings = replace(settings, upload=files.flown_by == "upload")

@@ -1,4 +1,4 @@
-"""Drones as they are, disturbances, the simplified controller, and feedback of vertices.
+"""Drones as they are, disturbances, and the simplified controller.
 
 A rigid body that is defined tilted, or bent arms, tilts the frame of a drone's controller from its
 thrust. At rest the thrust is vertical, so the controller sees a tilt φ, and a position loop of
@@ -14,7 +14,6 @@ delay) and motors (first order, 20 ms).
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,7 +28,6 @@ from hitchopt.drones.quadrotor import MEASURED, Quadrotor, kinds_of
 from hitchopt.errors import FileError, InputError
 from hitchopt.geometry.vectors import axial_vector, cross_product, left_of, length, unit
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.lab.feedback import Feedback
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import (
@@ -242,7 +240,8 @@ class Disturbances:
             for seed in seeds
         ]
         streams = [Streams(generators) for generators in zip(*flights, strict=True)]
-        cables, start, noise, wind, velocity, _, _, self._vertices, self.sensor_random = streams
+        # The eighth is unused: seeds keep the flights that are published
+        cables, start, noise, wind, velocity, _, _, _, self.sensor_random = streams
         self._objects = flights[0][6]
         sizes = self._perturbations = perturbations
         robots = robots * len(seeds)
@@ -259,11 +258,6 @@ class Disturbances:
         self.steady_wind: Array = sizes.steady_wind * np.repeat(
             level, drones[0] // len(seeds), axis=0
         )
-
-    def measured(self, vertices: Array) -> Array:
-        """Return vertices (clasps, 3) [m] with measurement noise."""
-        spread = self._perturbations.vertex_noise
-        return vertices + spread * self._vertices.standard_normal(vertices.shape)
 
     def disturbed(self, objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
         """Return objects with random deviations; each call draws new ones."""
@@ -447,51 +441,3 @@ def desired_attitudes(desired: Array) -> Array:
     axes: Array = np.empty((*third.shape, 3))
     axes[..., 0], axes[..., 1], axes[..., 2] = cross_product(second, third), second, third
     return axes
-
-
-class VertexFeedback:
-    """Feedback of vertices that are measured with noise and delay.
-
-    ``stiffness`` (2n, 3) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections;
-    drones are in order along the hitch.
-    """
-
-    def __init__(
-        self, task: Task, delay: float, disturbances: Disturbances, stiffness: Array
-    ) -> None:
-        if task.flight is None:
-            raise InputError("feedback", True, "with a plan", "pass the plan's directory")
-        # ``Feedback`` has drones in the order of the problem's lists
-        self._listed = task.team.listed
-        self._numbers = np.argsort(self._listed)  # inverse
-        self._feedback = Feedback(task.flight, delay=delay, stiffness=stiffness[self._listed])
-        self._start = float(task.states.t[0])  # [s], in plan time
-        self._delay = delay
-        self._disturbances = disturbances
-        self._waiting: deque[tuple[float, Array]] = deque()  # measurements and their times
-        self._end = np.inf  # time at which the plan's clock stops [s]
-        self.offsets = self._feedback.offsets[self._numbers]
-
-    def corrected(self, setpoints: States, time: float, seconds: float, drones: Array) -> States:
-        """Return corrected setpoints at a time [s] of the flight.
-
-        ``seconds`` is the time since the last call; ``drones`` are measured positions (2n, 3) [m].
-        """
-        measured_at, vertices = None, None
-        while self._waiting and self._waiting[0][0] <= time - self._delay + ROUNDING:
-            measured_at, vertices = self._waiting.popleft()
-        measured = None if measured_at is None else self._start + min(measured_at, self._end)
-        listed, step = drones[self._listed], self._feedback.step
-        step(self._start + min(time, self._end), seconds, vertices, listed, measured=measured)
-        self.offsets = self._feedback.offsets[self._numbers]
-        positions = setpoints.positions + self.offsets
-        velocities = setpoints.velocities + self._feedback.velocities[self._numbers]
-        return replace(setpoints, positions=positions, velocities=velocities)
-
-    def stop_clock(self, time: float) -> None:
-        """Freeze the plan at a time [s] of the flight."""
-        self._end = time
-
-    def observe(self, time: float, vertices: Array) -> None:
-        """Measure the vertices (clasps, 3) [m] at a time [s]."""
-        self._waiting.append((time, self._disturbances.measured(vertices)))

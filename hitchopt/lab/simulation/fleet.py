@@ -51,8 +51,7 @@ class Fleet:
 
     Arrays have the drones of all flights, flight after flight. Flights start at the task's sample
     ``first``, before which drones hover there. Uploads that exports refuse are streamed if the
-    upload is not stated, ``may_stream``. Raises InputError for an unstable position loop or
-    ``feedback`` without a plan.
+    upload is not stated, ``may_stream``. Raises InputError for an unstable position loop.
 
     Attributes
     ----------
@@ -85,14 +84,10 @@ class Fleet:
         self._setpoints = _setpoints(task, self.settings, models.trims)
         self._models = models.repeated(flights)
         self._outward_pulls = _outward_pulls(task)
-        delay = settings.perturbations.vertex_delay
-        self.feedback = None
-        if settings.feedback:
-            self.feedback = control.VertexFeedback(task, delay, disturbances, own.stiffness)
         self._current = first, self._repeated(self._setpoints[first])
         resting = self._setpoints[first : first + 1].ending_at_rest()[0]
         self._resting = self._repeated(resting)
-        # Samples of the commands and of the plan that were sent last; None if others corrected them
+        # Samples of the commands and of the plan that were sent last; None before the flight
         self._source_of_sent: tuple[int, int] | None = None
 
     @property
@@ -112,8 +107,6 @@ class Fleet:
         self._current, self._source_of_sent = (index, self._repeated(self._setpoints[index])), None
         if isinstance(self._pilots, Autopilots):
             self._commands = self._commands.until(index, accelerations)
-        if self.feedback is not None:
-            self.feedback.stop_clock(task.duration)
 
     def advance(
         self,
@@ -142,8 +135,6 @@ class Fleet:
             measured = bodies.positions + disturbances.noise.advance(period)
             velocities = bodies.velocities + disturbances.velocity_noise.advance(period)
             bodies = replace(bodies, positions=measured, velocities=velocities)
-        if self.feedback is not None and time >= 0.0:
-            setpoints = self.feedback.corrected(setpoints, time, period, bodies.positions)
         push = disturbances.wind.advance(period) + disturbances.steady_wind
         if models.drag:
             push -= models.drag * actual.velocities
@@ -238,8 +229,8 @@ class Fleet:
     ) -> None:
         """Run controllers and motors for a period.
 
-        Setpoints are those of a sample, corrected. Simplified controllers pull with ``added``
-        (drones, 3) [N] in addition.
+        Setpoints are those of a sample, or of drones that rest before the flight. Simplified
+        controllers pull with ``added`` (drones, 3) [N] in addition.
         """
         pilots, period = self._pilots, self._period
         start = self._first / RATE
@@ -254,10 +245,10 @@ class Fleet:
         if source is None or source != self._source_of_sent:
             self._source_of_sent = source
             commands = self._hovering() if sample == before else self._commands[sample]
-            self._sent = self._corrected(commands, setpoints, index)
+            self._sent = self._shifted(commands, setpoints, index)
         pilots.advance(self._sent, bodies, period)
 
-    def _corrected(self, commands: Commands, setpoints: States, index: int) -> Commands:
+    def _shifted(self, commands: Commands, setpoints: States, index: int) -> Commands:
         """Return commands with the differences of setpoints from those of the plan."""
         plan, repeat = self._task.states, self._repeat
         return Commands(

@@ -96,7 +96,7 @@ class FlightInProgress:
     Controllers receive only setpoints, including planned cable forces. Raises InputError for a
     density too small for the team's tension or an unstable position loop, ShapeError for cables too
     short for the first setpoints, and UnsupportedError without mujoco, or for several teams with
-    feedback or a lost drone.
+    a lost drone.
     """
 
     def __init__(self, task: Task, settings: Settings) -> None:
@@ -384,16 +384,12 @@ class FlightInProgress:
         """Record the state at ``time`` [s], from setpoint ``index`` to the ``following`` one."""
         world = self._world
         vertices, bearing = self._contacts.collect(self._least_bearing[index])
-        commanded = self._task.states.positions[index]
-        if self._fleet.feedback is not None:
-            commanded = commanded + self._fleet.feedback.offsets
-            self._fleet.feedback.observe(time, vertices)
         upward = np.minimum(np.maximum(world.bodies.attitudes[:, 2, 2], -1.0), 1.0)
         sample = FlightSample(
             t=time,
             setpoint=following,
             drones=self._drones(index),
-            commanded=commanded,
+            commanded=self._task.states.positions[index],
             vertices=vertices,
             bearing=bearing,
             tensions=np.add.reduceat(self._tensions, self._starts) / world.ropes.segments,

@@ -46,13 +46,11 @@ def fly_hitched(
     """Return a flight of a plan's hitches for each seed, none of which depends on the others.
 
     Raises UnsupportedError for several teams and objects that can move, and InputError for
-    feedback, a lost drone, or a plan without a hitch.
+    a lost drone or a plan without a hitch.
     """
     part = task.of_one_team(Feature.CLASPS)
     if task.cargo.movable.any():
         raise unsupported(Feature.CLASPS, Neighbour.OBJECTS)
-    if settings.feedback:
-        raise InputError("feedback", True, f"omitted with cables={CLASPS}", "simulate ropes")
     if settings.lost is not None:
         raise InputError(
             settings.lost.key, settings.lost, f"omitted with cables={CLASPS}", "simulate ropes"

@@ -41,6 +41,7 @@ from hitchopt.lab.simulation.settings import CALM, CLASPS, PRESETS, Settings, se
 from hitchopt.lab.simulation.task import Task
 from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
+from hitchopt.retired import refuse_retired
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array, check_choice, check_instance, closest_word, flag
@@ -259,16 +260,15 @@ def simulate(
     perturbations: fields of ``Perturbations`` with other values, such as ``wind`` [N].
     progress: status callback.
     settings: further fields of ``Settings``: ``seed``, ``cables`` (ropes or clasps), ``friction``,
-        ``density``, ``stiffness``, ``pull_test``, ``feedback``; ``controller`` by name or
-        ``ideal``, ``gains``, ``upload`` and an ``estimator``: ``ideal``, ``crazyflie``,
-        ``firmware``, ``one_marker``.
+        ``density``, ``stiffness``, ``pull_test``; ``controller`` by name or ``ideal``, ``gains``,
+        ``upload`` and an ``estimator``: ``ideal``, ``crazyflie``, ``firmware``, ``one_marker``.
 
     Raises
     ------
     InputError: an argument is invalid.
     CertificateError: the plan's certificate does not hold.
-    UnsupportedError: mujoco is not installed, the plan has only single drones, or several teams and
-        feedback; with clasps, several teams or objects that can move.
+    UnsupportedError: mujoco is not installed, or the plan has only single drones; with clasps,
+        several teams or objects that can move.
     """
     check_choice("preset", preset, tuple(PRESETS))
     changes = {} if perturbations is None else perturbations
@@ -291,6 +291,8 @@ def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> No
     if not isinstance(options, dict):
         raise InputError(key, options, "a dict", f"use the keys {', '.join(names)}")
     for name in options.keys() - names.keys():
+        as_option = str(name).replace("_", "-")
+        refuse_retired(f"simulate --{as_option}" if key == "settings" else f"--perturb {name}")
         remedy = closest_word(str(name), [*names])
         raise InputError(f"{key}.{name}", options[name], UNKNOWN_KEY, remedy)
 

@@ -20,7 +20,6 @@ from hitchopt.drones.controllers import (
     Gains,
 )
 from hitchopt.errors import InputError, OneLine
-from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import nonnegative
 from hitchopt.values.fields import (
     ANYTHING,
@@ -116,10 +115,6 @@ class Perturbations(Record):
     downwash: Annotated[bool, Key(FLAGS, "Simulate the downwash of drones on those below them")] = (
         False
     )
-    vertex_noise: Annotated[
-        float, Key(DISTANCE, "Error of measured vertices per axis, for feedback")
-    ] = 0.0
-    vertex_delay: Annotated[float, Key(DELAY, "Age of measured vertices when they arrive")] = 0.0
     object_mass: Annotated[
         float, Key(deviation(0.9), "Largest relative error of objects' masses")
     ] = 0.0
@@ -144,8 +139,6 @@ INDOOR = Perturbations(
     cable_error=0.005,
     start_error=0.02,
     downwash=True,
-    vertex_noise=0.01,
-    vertex_delay=0.05,
     object_mass=0.1,
     object_friction=0.2,
     object_place=0.02,
@@ -258,9 +251,6 @@ class Settings(Record):
     ] = None
     pull_test: Annotated[bool, Key(FLAGS, "Pull the vertices at rests and after the plan")] = True
     lost: Loss | None = None
-    feedback: Annotated[
-        bool, Key(FLAGS, "Correct setpoints by measured vertices, as ho.Feedback does")
-    ] = False
     drones: Annotated[
         str | None,
         Key(
@@ -334,8 +324,6 @@ class Settings(Record):
                     raise InputError(name, value, "omitted without a controller", remedy)
         if isinstance(self.estimator, str):
             object.__setattr__(self, "estimator", ESTIMATORS[self.estimator])
-        if self.upload and self.feedback:
-            raise refused_value(Feature.FEEDBACK, Neighbour.UPLOADS, True)
 
     @property
     def measures_vertices(self) -> bool:

@@ -266,7 +266,7 @@ class TeamTask:
     # tension
     taut: Array | None = None
     cargo: Cargo = field(default_factory=Cargo)  # objects
-    # the team's plan, which feedback and gripped cables need; None for other setpoints
+    # the team's plan, which gripped cables need; None for other setpoints
     motion: Motion | None = None
     others: tuple[TeamMotion, ...] = ()  # teams of external plans, on the plan's clock
     name: str = ""  # in a flight of several teams; empty for a single team
