@@ -2,9 +2,9 @@
 
 Usage: python -m benchmarks real --flights DIR [--fit DIR] [--json FILE] [-o FOLDER]
 
-DIR holds recordings, in any folders: bags of hovers and of commanded flights of tied drones, and
-folders of uSD logs of drones with one load. Each flight is predicted from other flights: those of
-``--fit``, by default all others of DIR. Every figure has its standard error over the series.
+DIR holds, in any folders, bags or folders of uSD logs of drones with one load. Each flight is
+predicted from other flights: those of ``--fit``, by default all others of DIR. Every figure has its
+standard error over the series.
 """
 
 from __future__ import annotations
@@ -31,12 +31,9 @@ from benchmarks.replay import (
 )
 from hitchopt.drones.controllers import HELD, ONE_MARKER
 from hitchopt.hitch import GRAVITY
-from hitchopt.lab.flights.hover import DroneHover, HoverSeries, calibrate_hover
 from hitchopt.lab.flights.recordings import RecordedFlight
 
-# Tied drones: mass [kg], and level gains of their file [N/m], [N s/m]. Drones with a load, whose
-# logs hold a thrust in newtons or a vector of it: masses [kg]; mass of the load [kg]
-HITCH = {"mass": 0.11, "kp": 1.0, "kd": 1.0}
+# Masses of drones whose logs hold a thrust in newtons or a vector of it, and of their load [kg]
 MASSES, LOAD = {"ctrlLeeP.thrustSI": 0.0345, "ctrlLeeP.ux": 0.0356}, 0.01
 TAUT = 0.5  # Smallest tension over its median at which a cable's length is measured
 
@@ -77,18 +74,10 @@ class Figure:
     def __str__(self) -> str:
         return f"{self.value:.3g} ± {self.standard_error:.1g}" if self.n else "–"
 
-    @staticmethod
-    def plain(*figures: Figure) -> dict[str, Any]:
-        """Return one figure, or the values of several, for JSON."""
-
-        def known(x: float) -> float | None:
-            return x if math.isfinite(x) else None
-
-        columns = [(known(x.value), known(x.standard_error)) for x in figures]
-        values, errors = ([*column] for column in zip(*columns, strict=True))
-        if len(figures) == 1:
-            return {"value": values[0], "standard_error": errors[0], "n": figures[0].n}
-        return {"value": values, "standard_error": errors, "n": figures[0].n}
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The figure for JSON, with null for what no series has."""
+        return {name: x if math.isfinite(x) else None for name, x in vars(self).items()}
 
 
 @dataclass(frozen=True)
@@ -222,54 +211,6 @@ def predicted_by_others(
     return pairs
 
 
-@dataclass(frozen=True)
-class Trims:
-    """Distances [m] of tied drones from where their setpoints, and the model, put them."""
-
-    rest_before: list[float]  # along each axis, at rest
-    rest_after: list[float]
-    motion_before: list[float]  # root mean squares in motion, level
-    motion_after: list[float]
-
-    @classmethod
-    def of(cls, flights: dict[Path, RecordedFlight], fits: dict[Path, RecordedFlight]) -> Trims:
-        """Return the distances, with trims of other flights."""
-        result = cls([], [], [], [])
-        for path, flight in flights.items():
-            others = [other for key, other in fits.items() if key != path]
-            trims = [fitted for other in others for fitted in [_trims(other, HITCH)] if fitted]
-            at_rest = _trims(flight, {})
-            for drone in flight.tracks:
-                known = [each[drone].trim for each in trims if drone in each]
-                if not known:
-                    continue
-                trim = np.mean(known, axis=0)
-                if drone in at_rest:
-                    own = np.array(at_rest[drone].trim)
-                    result.rest_before.extend(own.tolist())
-                    result.rest_after.extend((own - trim).tolist())
-                hover = HoverSeries(flight, drone)
-                part = hover.moving_part(HITCH)
-                if part is not None:
-                    measured = hover.x[part, :2]
-                    for places, values in (
-                        (hover.commanded[part, :2], result.motion_before),
-                        (hover.predicted(part, trim, HITCH), result.motion_after),
-                    ):
-                        off = np.sum((measured - places) ** 2, axis=1)
-                        values.append(math.sqrt(float(np.mean(off))))
-        return result
-
-
-def _trims(flight: RecordedFlight, gains: dict[str, float]) -> dict[str, DroneHover]:
-    """Return the drones of a flight whose trims are known."""
-    try:
-        drones = calibrate_hover(flight, **gains).drones  # type: ignore[arg-type]
-    except ho.HitchoptError:
-        return {}
-    return {name: drone for name, drone in drones.items() if math.isfinite(drone.trim[0])}
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print and write the table. Arguments are those of the process by default."""
     cli = parser(__doc__)
@@ -280,23 +221,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     flights = flights_in(options.flights)
     if not flights:
         cli.error(f"--flights: {options.flights} holds no bag and no uSD log")
-    others = flights if options.fit is None else flights_in(options.fit)
     series = [x for path, flight in flights.items() for x in load_series(path, flight)]
     fits = series
     if options.fit is not None:
+        others = flights_in(options.fit)
         fits = [x for path, flight in others.items() for x in load_series(path, flight)]
-    tied, tied_fits = (
-        {path: flight for path, flight in each.items() if not flight.loads}
-        for each in (flights, others)
-    )
-    figures = write_table(options.output, series, fits, Trims.of(tied, tied_fits))
+    figures = write_table(options.output, series, fits)
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
-def write_table(
-    output: Path, series: list[LoadSeries], fits: list[LoadSeries], trims: Trims
-) -> dict[str, Any]:
+def write_table(output: Path, series: list[LoadSeries], fits: list[LoadSeries]) -> dict[str, Any]:
     """Print and write the table; return the figures for JSON."""
     lengths = predicted_by_others(series, fits, lambda x: x.length)
     factors = predicted_by_others(series, fits, lambda x: x.commanded / x.static)
@@ -311,8 +246,6 @@ def write_table(
     seen = Figure.mean([x.logged_share for x in series])
     replayed = Figure.mean([x.replayed_share for x in series])
     length_error, thrust = Figure.rms(off).scaled(1e3), Figure.rms(errors)
-    rest = [Figure.rms(x).scaled(100.0) for x in (trims.rest_before, trims.rest_after)]
-    motion = [Figure.rms(x).scaled(100.0) for x in (trims.motion_before, trims.motion_after)]
     drags = [x.drag for x in series if not math.isnan(x.drag)]
     table = Table(output / "real.md", "What real flights say", LIMITATIONS)
     table.section("", "quantity", "series", "without", "with the model")
@@ -356,20 +289,6 @@ def write_table(
             length_error,
         ),
         ("rotor drag [N s/m], not modelled", len(drags), Figure.mean(drags), ""),
-        (
-            "tied drones at rest [cm], rms per axis: from their setpoints, and with the trim of "
-            "the other flight",
-            rest[0].n // 2,
-            rest[0],
-            rest[1],
-        ),
-        (
-            "tied drones in motion [cm], horizontal rms: from their setpoints, and from the "
-            "position loop with the trim of the other flight",
-            motion[0].n,
-            motion[0],
-            motion[1],
-        ),
     ]
     for row in rows:
         table.row(*row)
@@ -384,14 +303,12 @@ def write_table(
         f"at about {RATE:g} Hz",
     )
     return {
-        "filter_rms_deg": Figure.plain(filters),
-        "cable_length_rms_mm": Figure.plain(length_error),
-        "thrust_error": Figure.plain(thrust),
+        "filter_rms_deg": filters.plain,
+        "cable_length_rms_mm": length_error.plain,
+        "thrust_error": thrust.plain,
         "thrust_without_factors": {"n": unknown},
-        "pull_seen": Figure.plain(seen),
-        "pull_seen_replayed": Figure.plain(replayed),
-        "trim_rest_cm": Figure.plain(*rest),
-        "trim_moving_cm": Figure.plain(*motion),
+        "pull_seen": seen.plain,
+        "pull_seen_replayed": replayed.plain,
     }
 
 

@@ -57,7 +57,6 @@ ROOM_NAMES = {
     "hitch.team": ("Assignment",),
     "lab.flights.alignment": ("Alignment",),
     "lab.flights.evaluation": ("Evaluation",),
-    "lab.flights.hover": ("DroneHover", "HoverCalibration", "calibrate_hover"),
     "lab.flights.recordings": ("RecordedFlight", "Recording", "Signal", "Track"),
     "lab.statics.calibrate": ("Calibration", "Estimate"),
     "outline_fit": ("Fit", "Holding"),

@@ -16,6 +16,10 @@ RETIRED: Mapping[str, str] = {
     "simulate --feedback": "set team.cable_density, so that plans include the sag",
     "--perturb vertex_noise": "vertices are no longer measured in flight: omit it",
     "--perturb vertex_delay": "vertices are no longer measured in flight: omit it",
+    "simulate --as-calibrated": "state trim and thrust_factor in team.quadrotor, and the drag of "
+    "rotors by --perturb rotor_drag=0.012",
+    "calibrate --set": "name the plan that was flown by --plan: hovers are not calibrated",
+    "calibrate --names": "name the plan that was flown by --plan, with which drones are identified",
 }
 """What to use in place of each name, as users write it.
 

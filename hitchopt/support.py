@@ -33,7 +33,6 @@ class Feature(StrEnum):
     SCENE = "a scene for MuJoCo"
     CLASPS = "simulation with `clasps`"
     SIMULATED_LOSS = "the simulated loss of a drone"
-    AS_CALIBRATED = "drones as calibrated"
     EVALUATE = "evaluate"
     CALIBRATE = "calibrate"
 
@@ -74,8 +73,7 @@ class Refusal(NamedTuple):
 
 _ONE_TEAM = (
     *(Feature.MOTION, Feature.END, Feature.REPLANNER, Feature.REACTION, Feature.STATICS),
-    *(Feature.CLASPS, Feature.SIMULATED_LOSS, Feature.AS_CALIBRATED, Feature.EVALUATE),
-    Feature.CALIBRATE,
+    *(Feature.CLASPS, Feature.SIMULATED_LOSS, Feature.EVALUATE, Feature.CALIBRATE),
 )
 """Features that support a single team."""
 

@@ -177,7 +177,7 @@ def test_zeros_of_both_signs_are_equal() -> None:
 RESULTS = frozenset(
     (
         *("Alignment", "Calibration", "Change", "Evaluation", "Fit", "Grip", "Holding"),
-        *("Flight", "HoverCalibration", "Motion", "TeamMotion"),
+        *("Flight", "Motion", "TeamMotion"),
         *("PiecewisePolynomial", "Plan", "RecordedFlight", "Recording", "Retarget", "Setpoints"),
         *("Path", "Equilibrium", "Signal", "States", "Study", "Suggestion", "Tolerance", "Track"),
     )

@@ -154,7 +154,7 @@ class Quadrotor(OneLine):
     """One kind of quadrotor.
 
     A ``model`` provides the values that are not specified. ``trim``, ``thrust_factor`` and
-    ``tracking`` are measured on single drones, usually by ``hitchopt calibrate``.
+    ``tracking`` are measured on single drones; ``hitchopt calibrate`` estimates trims.
 
     Raises
     ------
@@ -294,10 +294,6 @@ class Quadrotor(OneLine):
     def usual_pull(self) -> tuple[float, str]:
         """Largest horizontal pull [N] up to 45° or the controller's tilt, and its limit's name."""
         return self.level_pull(min(DEFAULT_TILT, self.loop.max_tilt))
-
-
-MEASURED = ("trim", "thrust_factor", "tracking")
-"""Fields that are measured on single drones; plan files omit them where they are None."""
 
 
 @lru_cache(maxsize=1024)

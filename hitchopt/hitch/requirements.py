@@ -74,7 +74,7 @@ class Limits(OneLine):
         Key(
             TRACKING,
             "Largest tracking error of all drones at which every distance is kept, a number, or "
-            "level and height; null: that of the team's calibrated drones or named flight "
+            "level and height; null: that of the team's drones or their named flight "
             "controllers",
         ),
     ] = None

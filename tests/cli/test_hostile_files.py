@@ -54,7 +54,6 @@ COMMANDS = {
         "evaluate a.csv",
         "evaluate a.csv --plan PLAN",
         "calibrate a.csv --plan PLAN",
-        "calibrate a.csv",
         "lint a.csv",
     ),
     "a.c3d": ("evaluate a.c3d",),
@@ -64,7 +63,6 @@ COMMANDS = {
     "outline.svg": ("fit outline.svg --robots 3",),
     "outline.dxf": ("fit outline.dxf --robots 3",),
     "fleet.yaml": ("export PLAN --format crazyswarm2 --fleet fleet.yaml",),
-    "drones.yaml": ("simulate PLAN --as-calibrated drones.yaml",),
 }
 
 

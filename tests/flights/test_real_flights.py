@@ -12,21 +12,13 @@ import pytest
 
 from benchmarks import real
 from tests.helpers import writers as w
-from tests.helpers.hovers import Hover, flown
 from tests.helpers.load_flights import carried
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a hover, a commanded flight, and two flights with a load."""
+    """Return a folder with two flights with a load."""
     root: Path = tmp_path_factory.mktemp("flights")
-    hovers = {"cf2": Hover(9.0, 2.0, 0.0), "cf3": Hover(6.0, -1.0, 0.1)}
-    circle = {
-        name: replace(x, seconds=0.0, circle=True, commands="positions")
-        for name, x in hovers.items()
-    }
-    w.write_crazyswarm(root / "hover.bag", flown(hovers, 1, 0.005))
-    w.write_crazyswarm(root / "circle.bag", flown(circle, 2, 0.005))
     for seed in range(2):
         flight = carried(4.0, seed=seed)
         own = {
@@ -58,10 +50,6 @@ def test_models_predict_simulated_flights(fit: bool, folder: Path) -> None:
     assert found["cable_length_rms_mm"]["value"] < 2.0
     assert found["thrust_error"]["value"] < 0.02
     assert found["thrust_without_factors"]["n"] == 0
-    for key in ("trim_rest_cm", "trim_moving_cm"):
-        before, after = found[key]["value"]
-        assert before > 8.0
-        assert after < 3.0
     assert all(x["standard_error"] is not None for x in found.values() if "value" in x)
     text = (folder.parent / "results/real.md").read_text("utf-8")
     assert "with factors per drone of other flights (0 series without one)" in text
@@ -75,7 +63,6 @@ def test_what_other_flights_do_not_tell_is_counted(
     assert found["thrust_without_factors"]["n"] == 2
     assert found["thrust_error"]["value"] == pytest.approx(0.1, abs=0.02)
     assert found["cable_length_rms_mm"] == {"value": None, "standard_error": None, "n": 0}
-    assert found["trim_rest_cm"]["value"] == [None, None]
 
 
 def test_figures_have_standard_errors() -> None:

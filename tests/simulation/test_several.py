@@ -150,7 +150,6 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
         lambda: ho.evaluate(recording, folder),
         lambda: ho.calibrate(recording, folder),
         lambda: Simulation.of(task, replace(BRIEF, lost=Loss("a.q0", 1.0))),
-        lambda: Simulation.of(task, replace(BRIEF, as_calibrated={"a.q0": {"trim": [0.1, 0.0]}})),
     ):
         with pytest.raises(UnsupportedError, match="supports a single team, not a, b"):
             call()

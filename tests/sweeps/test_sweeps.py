@@ -118,7 +118,6 @@ FLIGHT: dict[str, Any] = {
     "cables": "clasps", "pull_test": False, "controller": "lee",
     "gains": {"kp": 3.0}, "drones": "crazyflie",
     "estimator": "crazyflie", "upload": True, "latency": 0.02,
-    "as_calibrated": {"q0": {"trim": [0.01, 0.0]}},
 }  # fmt: skip
 """A value of every key of simulated flights."""
 
@@ -157,7 +156,7 @@ def test_every_setting_of_a_flight_is_a_parameter(name: str) -> None:
     assert [keys[name] for keys in simulated] == [None, FLIGHT[name]]
 
 
-@pytest.mark.parametrize("name", sorted(FLIGHT.keys() - {"as_calibrated"}))
+@pytest.mark.parametrize("name", sorted(FLIGHT))
 def test_settings_of_flights_are_checked_by_key(name: str) -> None:
     given = {"problem": PROBLEM, "simulate": {name: [-1]}}
     with pytest.raises(ho.InputError, match=rf"^simulate\.{name} = \[-1\]: must be "):

@@ -166,74 +166,25 @@ def _statics_tables(content: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
-def _hover_options() -> Sequence[click.Option]:
-    """Return the option for the values of hovering drones."""
-    from hitchopt.values.fields import Key
-    from hitchopt.values.units import DAMPING, MASS, STIFFNESS
-
-    keys = {
-        "mass": Key(MASS, "Mass of every drone"),
-        "kp": Key(STIFFNESS, "Horizontal stiffness of the position loop"),
-        "kd": Key(DAMPING, "Its damping"),
-    }
-    words = "Value of hovering drones, such as mass=0.11; may be repeated."
-    return (assignment_option("--set values", words, keys),)
-
-
 @command(
-    "recordings RECORDING...",
-    option(
-        "--plan",
-        "Plan that was flown; default: the plan next to RECORDING, or none for hovers.",
-        PATH,
-        "DIR",
-    ),
-    option("-o --output", "YAML file for the estimates of team or drones.", PATH, "FILE"),
+    "recording RECORDING",
+    option("--plan", "Plan that was flown; default: the plan next to RECORDING.", PATH, "DIR"),
+    option("-o --output", "YAML file for the estimates of the team.", PATH, "FILE"),
     option("--density", "Measured density of the cables.", float, "KG/M"),
-    _hover_options,
-    option("--names", "Drones by their recorded names, such as cf2=q0,cf7=r0.", str, "NAMES"),
-    nargs=-1,
-    required=True,
 )
 def calibrate(
-    recordings: tuple[Path, ...],
-    plan: Path | None,
-    output: Path | None,
-    density: float | None,
-    values: dict[str, Any],
-    names: str | None,
+    recording: Path, plan: Path | None, output: Path | None, density: float | None
 ) -> None:
-    """Estimate a team's cables and friction from a flight of a plan, or drones from hovers.
+    """Estimate a team's cables, friction and trims from a flight of a plan.
 
     RECORDING is a CSV file with the columns t, name, x, y, z: seconds from the plan's start, q0,
     r0, … or p0, …, and metres; the results of `hitchopt simulate`, DIR/simulation; or any recording
     that `hitchopt evaluate` reads. Estimates have standard errors; values that the recording does
     not determine are marked. Distances to the plan are in three dimensions.
-
-    Without a plan, recordings are hovers: for each drone the trim, its tilt at rest, thrust factor
-    (with --set mass), lag of moving commands, and tracking error, as `team.quadrotor` takes them.
     """
-    from hitchopt.storage.archive import PLAN
-
-    first = recordings[0]
-    if plan is None and not any((x / PLAN).is_file() for x in (first, first.absolute().parent)):
-        if density is not None:
-            remedy = "hovers do not determine cables; specify a plan, or omit it"
-            raise InputError("density", density, "used with plan=", remedy)
-        _calibrate_hover(recordings, output, {**values, "names": names})
-        return
-    hover = values if names is None else {**values, "names": names}
-    for key, value in hover.items():
-        remedy = "omit it, or put the hover into a directory without a plan"
-        raise InputError(key, value, "given for hovers, without a plan", remedy)
-    if len(recordings) > 1:
-        remedy = "calibrate flights of a plan one by one"
-        raise InputError(
-            "recordings", len(recordings), "a single flight, if it is one of a plan", remedy
-        )
     folder = None if plan is None else plan_path(plan).parent
     with ProgressBar("estimating"):
-        calibration = ho.calibrate(first, folder, density=density)
+        calibration = ho.calibrate(recording, folder, density=density)
     say(
         _calibration_tables(calibration),
         lengths=[vars(estimate) for estimate in calibration.lengths],
@@ -250,48 +201,6 @@ def calibrate(
     if output is not None:
         calibration.save(output)
         say(f"wrote the team to {output}")
-
-
-def _calibrate_hover(
-    recordings: tuple[Path, ...], output: Path | None, options: dict[str, Any]
-) -> None:
-    """Report the calibration of single drones from hovers, and write it."""
-    with ProgressBar("reading"):
-        from hitchopt.lab.flights.hover import calibrate_hover
-
-        calibration = calibrate_hover(recordings, **options)
-    rows = [
-        {
-            "drone": name,
-            "trim [cm]": known_text(*(100.0 * x for x in drone.trim)),
-            "±": known_text(100.0 * drone.trim_error),
-            "tilt [°]": known_text(drone.tilt_deg),
-            "by tilt [cm]": known_text(*(100.0 * x for x in drone.expected_trim)),
-            "settled [s]": known_text(drone.settled),
-            "spread [cm]": known_text(100.0 * drone.spread),
-            "thrust factor": known_text(drone.thrust_factor, digits=".3f"),
-            "lag [s]": known_text(drone.lag, digits=".2f"),
-            "tracking [cm]": known_text(*(100.0 * x for x in drone.tracking.values())),
-        }
-        for name, drone in calibration.drones.items()
-    ]
-    drones = calibration.drones.values()
-    sentences = [f"{drone.sentence}." for drone in drones]
-    known = dict.fromkeys(drone.setpoint for drone in drones if drone.setpoint)
-    points = {x: ", ".join(each.name for each in drones if each.setpoint == x) for x in known}
-    sentences += [f"The setpoint of {names} is {place}." for place, names in points.items()]
-    sentences += dict.fromkeys(f"{x}." for each in drones if each.setpoint for x in each.remarks)
-    content = {name: drone.to_dict() for name, drone in calibration.drones.items()}
-    say(
-        "\n\n".join([table("Drones at rest", rows), "\n".join(sentences)]),
-        drones=content,
-        notes=list(calibration.notes),
-    )
-    for note in calibration.notes:
-        say(f"note: {note}")
-    if output is not None:
-        calibration.save(output)
-        say(f"quadrotors by drone are in {output}")
 
 
 def _calibration_tables(calibration: Calibration) -> str:

@@ -150,13 +150,6 @@ def _settings_options() -> Sequence[click.Option]:
     ),
     _settings_options,
     option(
-        "--as-calibrated",
-        "Trims, thrust factors and rotor drag (0.012 N s/m) of drones from a FILE of hitchopt "
-        "calibrate, overriding the plan's values.",
-        PATH,
-        "FILE",
-    ),
-    option(
         "--lose",
         "Stop the motors of a drone at a time, such as q0@12.5; the others react.",
         str,
@@ -180,7 +173,6 @@ def simulate(
     workers: int | None,
     lose: str | None,
     cut: str | None,
-    as_calibrated: Path | None,
     perturb: Mapping[str, Any],
     width: float | None,
     *,
@@ -202,7 +194,6 @@ def simulate(
     success rate. Vertex errors are distances in space, sag included.
     """
     from hitchopt.lab.simulation.commands import flown_gains
-    from hitchopt.lab.simulation.control import read_calibrated
     from hitchopt.lab.simulation.exported import is_export
     from hitchopt.lab.simulation.judgement import warnings
     from hitchopt.lab.simulation.settings import Loss, settings_of
@@ -217,8 +208,6 @@ def simulate(
         directory = directory if directory.is_dir() else directory.parent
     else:
         directory = source = plan_path(directory).parent
-    if as_calibrated is not None:
-        options["as_calibrated"] = read_calibrated(as_calibrated)
     settings = settings_of(**options, **perturb)
     with ProgressBar("reading the plan"):
         task = read_task(directory) if exported is None else exported.task

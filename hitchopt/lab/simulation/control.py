@@ -17,15 +17,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from hitchopt.drones.quadrotor import MEASURED, Quadrotor, kinds_of
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import axial_vector, cross_product, left_of, length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.lab.simulation.settings import Perturbations, Settings
@@ -39,12 +36,7 @@ from hitchopt.lab.simulation.world import (
 )
 from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
-from hitchopt.storage.yaml_file import read_yaml
-from hitchopt.support import Feature
 from hitchopt.values import Array
-from hitchopt.values.fields import with_fields
-
-ROTOR_DRAG = 0.012  # Drag of rotors over the speed, measured on Crazyflies [N s/m]
 
 NOISE_TIME = 0.3  # Correlation time of errors of measured positions [s]
 VELOCITY_NOISE_TIME = 0.1  # Correlation time of errors of measured velocities [s]
@@ -78,44 +70,13 @@ ROUNDING = 1e-9  # Rounding error of sums of periods [s]
 UP = np.array([0.0, 0.0, 1.0])  # Also the direction of a zero thrust
 
 
-def read_calibrated(path: Path) -> Mapping[str, Any]:
-    """Return the drones in a file of ``hitchopt calibrate``, or under ``team`` of a problem file.
-
-    Raises FileError or InputError for files of another form.
-    """
-    data: Any = read_yaml(path)
-    for key in ("team", "quadrotor"):
-        if isinstance(data, Mapping) and key in data:
-            data = data[key]
-    if not isinstance(data, Mapping):
-        raise FileError(f"{path}: contains no drones; write a mapping such as q0: {{trim: [x, y]}}")
-    return data
-
-
-def calibrated_kinds(team: Team, calibrated: Mapping[str, Any]) -> tuple[Quadrotor, ...]:
-    """Return the kinds (2n,) of a team's drones, as calibrated where a mapping by drone states it.
-
-    Raises InputError for drones that the team does not have.
-    """
-    try:
-        kinds = kinds_of(calibrated, team.robots, "robot", team.listed_names)
-    except InputError as error:
-        raise error.within("as_calibrated") from None
-    listed = [kind for kind in kinds for _ in range(team.drones // len(kinds))]
-    kinds = tuple(listed[drone] for drone in np.argsort(team.listed))
-    pairs = zip(team.kinds, kinds, strict=True)
-    return tuple(
-        with_fields(kind, **{name: getattr(own, name) for name in MEASURED}) for kind, own in pairs
-    )
-
-
 SCALED = ("mellinger", "pid")
 """Controllers whose exported parameters contain the thrust factor that the plan states."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlownDrones:
-    """Differences of the drones from those that a plan without calibration assumes."""
+    """Drones with the trims and thrust factors that a plan states, and with rotor drag."""
 
     trims: Array  # (2n, 3) [m], in the plan: setpoints minus planned positions
     turns: Array  # (2n, 3, 3), axes of the controllers' frames as columns, in those of the thrust
@@ -124,26 +85,16 @@ class FlownDrones:
 
     @classmethod
     def of(cls, task: Task, settings: Settings, stiffness: Array) -> FlownDrones:
-        """Return the drones of a task whose position loops have some stiffness (2n, 3) [N/m].
-
-        Raises UnsupportedError for drones as calibrated of several teams.
-        """
-        team, calibrated = task.team, settings.as_calibrated
-        kinds = team.kinds
-        if calibrated is not None:
-            kinds = calibrated_kinds(task.of_one_team(Feature.AS_CALIBRATED).team, calibrated)
-        trims = np.array([kind.trim or (0.0, 0.0) for kind in kinds])
-        lean = stiffness[:, :1] * trims / (GRAVITY * team.mass[:, None])  # tangents of tilts
+        """Return the drones of a task whose position loops have some stiffness (2n, 3) [N/m]."""
+        team = task.team
+        lean = stiffness[:, :1] * team.trim / (GRAVITY * team.mass[:, None])  # tangents of tilts
         axis, size = left_of(lean), length(lean)
         angle = np.arctan(size) / np.maximum(size, 1e-12)
         turns = Rotation.from_rotvec(np.insert(axis * angle[:, None], 2, 0.0, axis=1)).as_matrix()
-        drag = settings.perturbations.rotor_drag
-        if drag is None:
-            drag = 0.0 if calibrated is None else ROTOR_DRAG
-        flown = np.array([kind.thrust_factor or 1.0 for kind in kinds])
         exported = [kind.controller in SCALED for kind in team.kinds]
-        factors = flown / np.where(exported, team.thrust_factor, 1.0)
-        return cls(np.insert(team.trim, 2, 0.0, axis=1), turns, factors, drag)
+        factors = np.where(exported, 1.0, team.thrust_factor)
+        trims = np.insert(team.trim, 2, 0.0, axis=1)
+        return cls(trims, turns, factors, settings.perturbations.rotor_drag)
 
     def repeated(self, flights: int) -> FlownDrones:
         """Return the drones of several flights, flight after flight."""

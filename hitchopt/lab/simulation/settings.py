@@ -22,7 +22,6 @@ from hitchopt.drones.controllers import (
 from hitchopt.errors import InputError, OneLine
 from hitchopt.values import nonnegative
 from hitchopt.values.fields import (
-    ANYTHING,
     FLAGS,
     Key,
     Record,
@@ -122,10 +121,7 @@ class Perturbations(Record):
         float, Key(deviation(0.9), "Largest relative error of objects' friction")
     ] = 0.0
     object_place: Annotated[float, Key(DISTANCE, "Largest error of movable objects' places")] = 0.0
-    rotor_drag: Annotated[
-        float | None,
-        Key(DRAG, "Drag of drones over their speed; null: 0.012 if calibrated, otherwise 0"),
-    ] = None
+    rotor_drag: Annotated[float, Key(DRAG, "Drag of drones over their speed")] = 0.0
 
 
 CALM = Perturbations()
@@ -304,14 +300,6 @@ class Settings(Record):
             DELAY,
             "Delay of motion capture and streamed setpoints, with a filter; null: the team's, or "
             "0.01 s",
-        ),
-    ] = None
-    as_calibrated: Annotated[
-        Mapping[str, Any] | None,
-        Key(
-            ANYTHING,
-            "What was measured on drones that fly, by name as in team.quadrotor, overriding the "
-            "plan's values; null: nothing",
         ),
     ] = None
 

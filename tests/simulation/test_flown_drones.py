@@ -1,23 +1,15 @@
-"""Drones as calibrated: tilts that explain trims, thrust factors, and names."""
+"""Drones with trims and thrust factors that plans state: tilts explain trims."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
-from hitchopt.lab.simulation.control import (
-    ROTOR_DRAG,
-    FlownDrones,
-    calibrated_kinds,
-    read_calibrated,
-)
+from hitchopt.lab.simulation.control import FlownDrones
 from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task
@@ -49,7 +41,7 @@ def place(drone: str) -> int:
 
 def drones(**given: Any) -> FlownDrones:
     stiffness = np.full((6, 3), 4.75)
-    return FlownDrones.of(task(), Settings(as_calibrated=OFF, **given), stiffness)
+    return FlownDrones.of(known_task(), Settings(**given), stiffness)
 
 
 def test_tilts_explain_trims() -> None:
@@ -69,47 +61,22 @@ def test_tilts_explain_trims() -> None:
     np.testing.assert_allclose(  # power is the same in both frames
         np.sum(turned * bodies.rates, axis=1), np.sum(moments * measured.rates, axis=1)
     )
-    assert (found.drag, drones(perturbations=Perturbations(rotor_drag=0.0)).drag) == (
-        ROTOR_DRAG,
-        0.0,
-    )
+    assert found.drag == 0.0
+    assert drones(perturbations=Perturbations(rotor_drag=0.012)).drag == 0.012
 
 
 def test_plans_add_the_trims_that_they_know() -> None:
-    plain, known = task(), known_task()
-    stiffness = np.full((6, 3), 4.75)
-    found = FlownDrones.of(known, Settings(), stiffness)
-    np.testing.assert_allclose(found.trims[place("q0")], [0.1, 0.0, 0.0])
-    np.testing.assert_allclose(found.turns, drones().turns)
-    assert not np.any(drones().trims)  # known to nobody
-    nominal = FlownDrones.of(plain, Settings(), stiffness)
+    np.testing.assert_allclose(drones().trims[place("q0")], [0.1, 0.0, 0.0])
+    nominal = FlownDrones.of(task(), Settings(), np.full((6, 3), 4.75))
     np.testing.assert_array_equal(nominal.trims, np.zeros((6, 3)))
     np.testing.assert_array_equal(nominal.turns, np.tile(np.eye(3), (6, 1, 1)))
     np.testing.assert_array_equal(nominal.thrust_factors, np.ones(6))
     assert nominal.drag == 0.0
 
 
-def test_names_of_calibrated_drones_are_those_of_the_team(tmp_path: Path) -> None:
-    with pytest.raises(ho.InputError, match=r"as_calibrated\.quadrotor\.q9: .*no such drone"):
-        calibrated_kinds(task().team, {"q9": {"trim": [0, 0]}})
-    text = "quadrotor: {q0: {trim: [0.1, 0.0], thrust_factor: 1.1}, r1: {trim: [-0.03, 0.08]}}\n"
-    for prefix in ("", "team: {robots: 3, cable_length: 2, "):
-        (tmp_path / "drones.yaml").write_text(prefix + text.strip() + "}" * bool(prefix) + "\n")
-        assert read_calibrated(tmp_path / "drones.yaml") == OFF
-    (tmp_path / "drones.yaml").write_text("[1, 2]\n")
-    with pytest.raises(FileError, match="contains no drones"):
-        read_calibrated(tmp_path / "drones.yaml")
-
-
 @pytest.mark.slow
-def test_drones_hover_beside_their_places_by_their_trims_unless_the_plan_knows_them() -> None:
-    plain, known = task(), known_task()
+def test_drones_hover_at_their_places_with_trims_that_the_plan_states() -> None:
     settings = Settings(controller="mellinger", pull_test=False)
-    for each, setup, left in (
-        (plain, replace(settings, as_calibrated=OFF), 1.0),
-        (known, settings, 0.0),
-    ):
-        record = Simulation.of(each, setup).flight.record
-        off = (record.drones - record.commanded)[100, :, :2]  # still hovering
-        np.testing.assert_allclose(off[place("q0")], [-0.1 * left, 0.0], atol=0.03)
-        np.testing.assert_allclose(off[place("r1")], [0.03 * left, -0.08 * left], atol=0.03)
+    record = Simulation.of(known_task(), settings).flight.record
+    off = (record.drones - record.commanded)[100, :, :2]  # still hovering
+    np.testing.assert_allclose(off[[place("q0"), place("r1")]], 0.0, atol=0.03)
