@@ -28,7 +28,6 @@ NAMES = (
     "live",
     "losses",
     "views",
-    "sweeps",
     "tracking",
     "controllers",
     "mutations",

@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         a, b = options.compare
         return compare(a, b, options.only, options.tolerance)
     files = (path.relative_to(PROBLEMS) for path in PROBLEMS.rglob("*.yaml"))
-    names = [str(file.with_suffix("")) for file in files if file.parts[0] != "studies"]
+    names = [str(file.with_suffix("")) for file in files]
     if not (options.package / "hitchopt").is_dir():
         cli.error(f"{options.package} is no checkout")
     work = partial(plan, folder=options.output.resolve(), package=options.package.resolve())

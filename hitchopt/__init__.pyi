@@ -27,7 +27,6 @@ from hitchopt.lab.statics.calibrate import calibrate as calibrate
 from hitchopt.lab.statics.equilibrium import equilibrium as equilibrium
 from hitchopt.outline_fit import fit as fit
 from hitchopt.lab.statics.tolerance import tolerance as tolerance
-from hitchopt.lab.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
 from hitchopt.live.reacting import Player as Player
 from hitchopt.live.replanner import Replanner as Replanner
 from hitchopt.mission.cache import Cache as Cache

@@ -20,6 +20,10 @@ RETIRED: Mapping[str, str] = {
     "rotors by --perturb rotor_drag=0.012",
     "calibrate --set": "name the plan that was flown by --plan: hovers are not calibrated",
     "calibrate --names": "name the plan that was flown by --plan, with which drones are identified",
+    "hitchopt sweep": "loop over problems with ho.solve, or plan many morphs with ho.morphs",
+    "init --kind study": "loop over problems with ho.solve, or plan many morphs with ho.morphs",
+    "ho.run_sweep": "loop over problems with ho.solve, or plan many morphs with ho.morphs",
+    "ho.load_sweep": "loop over problems with ho.solve, or plan many morphs with ho.morphs",
 }
 """What to use in place of each name, as users write it.
 

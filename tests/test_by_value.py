@@ -179,7 +179,7 @@ RESULTS = frozenset(
         *("Alignment", "Calibration", "Change", "Evaluation", "Fit", "Grip", "Holding"),
         *("Flight", "Motion", "TeamMotion"),
         *("PiecewisePolynomial", "Plan", "RecordedFlight", "Recording", "Retarget", "Setpoints"),
-        *("Path", "Equilibrium", "Signal", "States", "Study", "Suggestion", "Tolerance", "Track"),
+        *("Path", "Equilibrium", "Signal", "States", "Suggestion", "Tolerance", "Track"),
     )
 )
 """Public records that compare by identity: plans and what is computed or measured."""

@@ -40,10 +40,8 @@ from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
 from hitchopt.cli.failures import EXIT_INFEASIBLE, EXIT_USAGE
 from hitchopt.cli.planning import PACKAGE, problem_text
-from hitchopt.lab.sweeps.study import STUDY, StudyKeys
 from hitchopt.mission.loading import problem_schema
 from hitchopt.storage.interrupts import EXIT_INTERRUPTED
-from hitchopt.values.fields import keys_of
 from tests.helpers.plans import PROBLEMS, ROOT
 
 FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
@@ -154,7 +152,7 @@ PAGES = [
 # Blocks that are executed, and not; those of YAML are checked against the schema
 RUN, SHOWN = {"python", "console"}, {"", "text", "sh", "yaml", "json"}
 LONG = {  # Blocks that take longest
-    *("carry.md", "export.md", "fit.md", "look_at_a_plan.md", "sweep.md"),
+    *("carry.md", "export.md", "fit.md", "look_at_a_plan.md"),
     *("describe_your_drones.md", "measure_your_flight.md", "several_teams.md"),
 }
 
@@ -239,9 +237,6 @@ def test_yaml_has_keys_of_the_schema() -> None:
     template = yaml.load(problem_text(PACKAGE / "mission" / "template.yaml"))
     for block in (b for page in PAGES for b in blocks(text_of(page)) if b.language == "yaml"):
         given = yaml.load(block.text)
-        if given.keys() <= keys_of(StudyKeys).keys():
-            STUDY.check("", {"problem": "", **given})
-            continue
         problem = given if file_name(block) or "goal" in given else {**template, **given}
         assert not [*validator.iter_errors(problem)], block.text
 

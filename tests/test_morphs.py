@@ -34,7 +34,7 @@ def test_many_morphs_are_those_planned_one_by_one_in_order() -> None:
 
 
 def test_errors_bring_no_tracebacks_and_earlier_errors_along() -> None:
-    """Where dask is imported, these are pickled, too, which exceeds the recursion limit."""
+    """Where packages extend pickle, these are pickled, too, which exceeds the recursion limit."""
     error = _morph_or_error(START, FAR, {})
     assert isinstance(error, ho.InfeasibleError)
     assert (error.__traceback__, error.__context__, error.__cause__) == (None, None, None)

@@ -6,9 +6,8 @@ import json
 import re
 from typing import Any
 
-from hitchopt.lab.sweeps.study import STUDY
 from hitchopt.mission.loading import problem_schema
-from hitchopt.values.fields import Schema, resolved_schema
+from hitchopt.values.fields import Schema
 
 KEYS = ("title", "team", "teams", "limits", "separation", "arena", "objects", "keep_out", "start")
 """Keys of files that come first, in this order."""
@@ -27,51 +26,26 @@ HEADINGS = {
     "TeamsProblem": "Several teams",
     "ObjectKeys": "Objects",
     "Step": "Steps",
-    "SimulateKeys": "Simulated flights",
 }
 """Headings that differ from the names of definitions; whole files come first."""
 
 
-STUDY_INTRODUCTION = """# Study file
-
-A study is YAML for {doc}`hitchopt sweep </how_to/sweep>`; `hitchopt init --kind study` writes one. Keys of `simulate` without a
-value have their usual values, or those of the plan; options of `hitchopt simulate` set the same.
-"""
-
-
 def write_schema_page() -> str:
-    """Return the page of problem files."""
-    return _page(INTRODUCTION, problem_schema()["$defs"], list(HEADINGS)[:3])
-
-
-def write_study_page() -> str:
-    """Return the page of study files."""
-    definitions = dict[str, Schema]()
-    resolved_schema(STUDY, definitions)
-    own = {
-        name: each for name, each in definitions.items() if name not in problem_schema()["$defs"]
-    }
-    return _page(STUDY_INTRODUCTION, own, ["StudyKeys"])
-
-
-def _page(introduction: str, definitions: Any, first: list[str]) -> str:
-    """Return a page with a section and a table of keys for each definition of a schema.
-
-    Definitions that are not given have sections on another page.
-    """
+    """Return the page: a section and a table of keys for each definition of the schema."""
+    definitions: Any = problem_schema()["$defs"]
     sections: dict[str, str] = {}
 
     def add(name: str, level: str) -> None:
         """Add the section of a definition, then the sections of its keys' definitions."""
-        if name in definitions and name not in sections:
+        if name not in sections:
             sections[name] = _section(name, level, definitions[name])
             for key in _keys(definitions[name]) or [definitions[name]]:
                 for each in re.findall(r"#/\$defs/(\w+)", json.dumps(key)):
                     add(each, "##" if name.endswith("Problem") else "###")
 
-    for name in first:
+    for name in ("Problem", "SwarmProblem", "TeamsProblem"):
         add(name, "##")
-    return "\n".join([introduction, *sections.values()])
+    return "\n".join([INTRODUCTION, *sections.values()])
 
 
 def heading(name: str) -> str:

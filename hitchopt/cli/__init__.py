@@ -24,11 +24,7 @@ COMMANDS = {
         "react": "cli.fleet",
         "fly": "cli.fleet",
     },
-    "Study": {
-        "evaluate": "lab.cli.measuring",
-        "calibrate": "lab.cli.estimates",
-        "sweep": "lab.cli.simulating",
-    },
+    "Study": {"evaluate": "lab.cli.measuring", "calibrate": "lab.cli.estimates"},
 }
 
 

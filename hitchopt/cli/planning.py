@@ -10,7 +10,6 @@ import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -58,13 +57,8 @@ MIN_SEARCH_TIME = 1e-3  # Minimum time limit of the search for changes [s]
 SEARCH_ENDED = "the search for changes ended at the time limit (--limit)"
 
 PACKAGE = Path(ho.__file__).parent
-STUDY = "study"
 # Templates other than the default, in PACKAGE
-KINDS = {
-    "carry": "mission/template_carry.yaml",
-    "swarm": "mission/template_swarm.yaml",
-    STUDY: "lab/sweeps/template_study.yaml",
-}
+KINDS = {"carry": "mission/template_carry.yaml", "swarm": "mission/template_swarm.yaml"}
 # File name of the schema for editors, and the line of problem files that refers to it
 SCHEMA = "problem.schema.json"
 MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
@@ -431,8 +425,7 @@ def example_files() -> list[Path]:
     option("--list listing", "List the examples."),
     option(
         "--kind",
-        "Write a problem that carries an object, a problem of single drones, or a study of many "
-        "plans.",
+        "Write a problem that carries an object, or a problem of single drones.",
         None,
         choices=[*KINDS],
     ),
@@ -468,7 +461,7 @@ def init(
 ) -> None:
     """Write a commented problem file to start from, or an example.
 
-    NAME defaults to problem.yaml, to study.yaml for a study, or to the name of the example.
+    NAME defaults to problem.yaml, or to the name of the example.
     """
     if schema:
         _write_schema()
@@ -483,13 +476,12 @@ def init(
     source = examples[example] if example else template
     text = problem_text(source)
     if name is None:
-        name = example or (STUDY if kind == STUDY else "problem")
+        name = example or "problem"
     if model is None and robots is None:
         path = _write_new(name, text)
     else:
         path = _write_fitted(name, text, model, robots)
-    command = "sweep" if kind == STUDY else "solve"
-    say(f"wrote {path}; try: hitchopt {command} {path}", file=str(path))
+    say(f"wrote {path}; try: hitchopt solve {path}", file=str(path))
     recording = source.with_suffix(".csv")
     if recording.is_file():
         copy = _write_new(str(path.with_suffix(".csv")), recording.read_text("utf-8"), (".csv",))
@@ -554,13 +546,9 @@ def _title(path: Path) -> str:
 
 def problem_text(path: Path) -> str:
     """Return the text of a problem file with its modeline and the filled-in template."""
-    from hitchopt.mission.template import expand_sections, key_lines
+    from hitchopt.mission.template import expand_sections
 
-    text = path.read_text(encoding="utf-8")
-    if path.stem != f"template_{STUDY}":
-        return MODELINE + expand_sections(text)
-    keys = import_module("hitchopt.lab.sweeps.study").simulate_keys()
-    return expand_sections(text, simulate=key_lines(keys, "#  "))
+    return MODELINE + expand_sections(path.read_text(encoding="utf-8"))
 
 
 def _write_new(name: str, text: str | None, suffixes: tuple[str, ...] = SUFFIXES) -> Path:

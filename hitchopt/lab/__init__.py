@@ -1,1 +1,1 @@
-"""The lab: studies of plans, built on the core, which imports nothing from it."""
+"""The lab: simulations and recordings of plans, built on the core, which imports nothing of it."""

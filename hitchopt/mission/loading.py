@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -116,10 +116,6 @@ FORMS = {
 problems are, by their names in the schema."""
 
 
-UNIT_IN_TEXT = re.compile(r"^[^;]*\[([^\]]+)\](?:;|$)")
-"""The unit in the description of a key in the schema, before details."""
-
-
 def problem_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of problem files of all kinds."""
     definitions = dict[str, Schema]()
@@ -129,31 +125,6 @@ def problem_schema() -> Schema:
     dialect = "https://json-schema.org/draft/2020-12/schema"
     title = "hitchopt problem file"
     return {"$schema": dialect, "title": title, "anyOf": forms, "$defs": definitions}
-
-
-def unit_of(key: str) -> str:
-    """Return the unit of a key of problem files, such as ``team.tension``; empty without one."""
-    schema = problem_schema()
-    places: list[Schema] = [schema]
-    for part in split_key(key):
-        inner = list[Schema]()
-        for place in _alternatives(places, schema["$defs"]):
-            of_names = place.get("properties", {}).get(part, place.get("additionalProperties"))
-            found = place.get("items") if isinstance(part, int) else of_names
-            inner += [found] if isinstance(found, dict) else []
-        places = inner
-    units = (UNIT_IN_TEXT.search(place.get("description", "")) for place in places)
-    return next((found[1] for found in units if found), "")
-
-
-def _alternatives(places: Iterable[Schema], definitions: dict[str, Schema]) -> Iterator[Schema]:
-    """Yield the schemas of values at places: with those that they refer to and choose from."""
-    for place in places:
-        yield place
-        chosen = [*place.get("anyOf", ()), *place.get("oneOf", ())]
-        if "$ref" in place:
-            chosen.append(definitions[place["$ref"].rpartition("/")[2]])
-        yield from _alternatives(chosen, definitions)
 
 
 @suggest_keywords

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from hitchopt.mission.problem import HITCH_LIMITS, HITCH_SEPARATION, SwarmTeam
 from hitchopt.planners.fitting import Range, fitting_lengths, fitting_tensions
 from hitchopt.storage.yaml_file import flow, parse_yaml, split_key, with_value
 from hitchopt.values import Array, integer
-from hitchopt.values.fields import EMPTY, Key, keys_of, with_fields
+from hitchopt.values.fields import EMPTY, keys_of, with_fields
 
 SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "team": (Team, "  #", ("cable_density", "tension")),
@@ -150,24 +150,15 @@ def _starts(robots: int, length: float) -> Array:
     return rounded
 
 
-def expand_sections(text: str, **extra: str) -> str:
-    """Return a template with lines such as ``# (limits)`` replaced by keys, or by ``extra``."""
-
-    def section(match: re.Match[str]) -> str:
-        return extra.get(match[1]) or _lines(*SECTIONS[match[1]])
-
-    return re.sub(r" *# \((\w+)\)\n", section, text)
+def expand_sections(text: str) -> str:
+    """Return a template with lines such as ``# (limits)`` replaced by keys."""
+    return re.sub(r" *# \((\w+)\)\n", lambda match: _lines(*SECTIONS[match[1]]), text)
 
 
 def _lines(record: type, prefix: str, exclude: Sequence[str] = ()) -> str:
     """Return comment lines for the keys of a record with a default."""
-    return key_lines(keys_of(record), prefix, exclude)
-
-
-def key_lines(keys: Mapping[str, Key], prefix: str, exclude: Sequence[str] = ()) -> str:
-    """Return comment lines for keys with a default, by field."""
     lines = list[str]()
-    for name, key in keys.items():
+    for name, key in keys_of(record).items():
         if key.default is EMPTY or name in exclude:
             continue
         is_nested = key.name == "quadrotor"

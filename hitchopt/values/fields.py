@@ -622,19 +622,6 @@ def mapping_of(
     return Kind((MAPPING,), check, lambda definitions: record_schema(record, definitions, exclude))
 
 
-def plain_mapping_of(name: str, summary: str, keys: Mapping[str, Key]) -> Kind:
-    """Return the kind of mappings of some keys; they stay plain data, as in files."""
-
-    def check(key: str, value: Any) -> dict[str, Any]:
-        arguments_from(keys, key, value)
-        return dict(value)
-
-    def schema(definitions: dict[str, Schema]) -> Schema:
-        return keys_schema(name, summary, keys.values(), definitions)
-
-    return Kind((MAPPING,), check, schema)
-
-
 def dict_of(kind: Kind, names: Kind, max_length: int | None = None) -> Kind:
     """Return the kind of mappings of names to values of a kind."""
 

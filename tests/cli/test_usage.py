@@ -29,12 +29,11 @@ from hitchopt.cli.planning import MODELINE, PACKAGE, example_files, problem_text
 from hitchopt.drones.quadrotor import MODELS
 from hitchopt.errors import FileError, UnsupportedError, Violation
 from hitchopt.exports.options import registered_formats
-from hitchopt.lab.sweeps.study import study_from_dict
 from hitchopt.mission.loading import parse_problem, problem_schema
 from hitchopt.mission.template import for_team
 from hitchopt.motion.motion import Phase
 from hitchopt.storage import interrupts
-from hitchopt.storage.yaml_file import parse_yaml, with_value
+from hitchopt.storage.yaml_file import with_value
 from hitchopt.tables import table
 from tests.helpers.commands import TRIANGLE, refused, run, started, strict
 from tests.helpers.plans import BAD, ROOT
@@ -91,10 +90,6 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         (f"{SOLVE} --take 4 --repair-to own", "error: --take = 4: must be"),
         (f"{SOLVE} --take 2", "error: --take = 2: must be used with --repair-to"),
         (f"calibrate {ROOT}/problems/show", "must be a flight, not its plan; name the file"),
-        (
-            f"sweep {TRIANGLE}",
-            ":6:1: missing problem; this is a problem: plan it with",
-        ),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
     ],
 )
@@ -299,14 +294,11 @@ def test_init_writes_a_problem_that_loads_and_never_overwrites(place: Path) -> N
     for words, said in (
         ("carry", "solve problem"),
         ("swarm s", "solve s"),
-        ("study", "sweep study"),
     ):
         done = run("init", "--kind", *words.split(), code=0)
         assert f"hitchopt {said}.yaml\n" in done.stdout
     assert [*ho.load_problem("problem.yaml").objects] == ["table", "shelf", "box"]
     assert ho.load_problem("s.yaml").team.drones == 6
-    study: Any = parse_yaml(Path("study.yaml").read_text("utf-8"))
-    assert len(list(study_from_dict(study).cases())) == 9
     assert "error: --kind" in refused("init", "--kind", "swarm", "--example", "triangle")
     (place / "mine.yaml").write_text("precious")
     assert "error: mine.yaml: exists already; use another name" in refused("init", "mine")

@@ -43,11 +43,18 @@ from hitchopt.lab.simulation.estimator import (
     rotation_vector,
 )
 from hitchopt.lab.simulation.flight import SETTLE_TIME, FlightInProgress, fly
-from hitchopt.lab.simulation.settings import DRONES, INDOOR, Settings, settings_of
+from hitchopt.lab.simulation.settings import (
+    DRONES,
+    INDOOR,
+    Settings,
+    perturbation_keys,
+    settings_of,
+)
 from hitchopt.lab.simulation.task import RATE, Commands, Task, TeamTask
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
 from hitchopt.motion.states import states_at
 from hitchopt.values import Array
+from hitchopt.values.fields import keys_of
 from tests.helpers.scripted import changed, hanging_task, regular_hitch, resting_task
 
 MASS, PULL = 0.132, 0.4
@@ -562,6 +569,12 @@ def test_incompatible_settings_are_refused(given: dict[str, Any], told: str) -> 
     task = resting_task(regular_hitch(3), 0.1)
     with pytest.raises(InputError, match=told):
         resolved(task, settings_of("fast", perturbed=False, **given))
+
+
+@pytest.mark.parametrize("name", sorted({**perturbation_keys(), **keys_of(Settings)}))
+def test_settings_are_checked_by_their_keys(name: str) -> None:
+    with pytest.raises(InputError, match=rf"^{name} = \[-1\]: must be "):
+        settings_of("fast", perturbed=False, **{name: [-1]})
 
 
 STIFF = stiffest_gains(MASS)

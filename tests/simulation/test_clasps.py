@@ -13,6 +13,7 @@ import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.lab.simulation import clasps
+from hitchopt.lab.simulation.campaign import Distribution, run_campaign, save_campaign
 from hitchopt.lab.simulation.clasps import AXIAL_STIFFNESS, ClaspWorld
 from hitchopt.lab.simulation.flight import fly, fly_seeds
 from hitchopt.lab.simulation.judgement import vertex_errors, warnings
@@ -20,7 +21,6 @@ from hitchopt.lab.simulation.report import Simulation, ending
 from hitchopt.lab.simulation.settings import CLASPS, INDOOR, Loss, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import RigidBodies
-from hitchopt.lab.sweeps.campaign import Distribution, run_campaign, save_campaign
 from hitchopt.values import Array
 from tests.helpers.plans import planned
 from tests.helpers.scripted import regular_hitch, resting_task

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import multiprocessing
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.lab.simulation import judgement
+from hitchopt.lab.simulation.campaign import run_campaign, save_campaign
 from hitchopt.lab.simulation.contacts import MIN_BEARING_RATIO, ClaspContacts, least_bearing
 from hitchopt.lab.simulation.departures import Failure
 from hitchopt.lab.simulation.flight import fly
@@ -27,7 +30,6 @@ from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import Loss, Perturbations, Settings
 from hitchopt.lab.simulation.task import Cargo, Task, TeamTask
 from hitchopt.lab.simulation.world import InvalidRunError
-from hitchopt.lab.sweeps.campaign import run_campaign, save_campaign
 from hitchopt.live.lost import RELEASE_TIME, Reactions
 from hitchopt.objects import Section, SolidObject
 from hitchopt.view.style import save_figure
@@ -375,6 +377,28 @@ def test_runs_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
         expected = np.mean(errors.errors[chosen])
         assert float(rows[0][f"{name}_mean"]) == pytest.approx(expected, rel=1e-5)
     assert float(rows[0]["without_sag_mean"]) < float(rows[0]["vertex_error_mean"])
+
+
+class Deadly:
+    """What ends the process that receives it, as a lack of memory does."""
+
+    def __reduce__(self) -> Any:
+        return os._exit, (9,)
+
+
+@pytest.mark.slow
+def test_processes_that_end_are_reported_and_those_of_interrupted_campaigns_end() -> None:
+    others, deadly = {*multiprocessing.active_children()}, Deadly()
+    with pytest.raises(ho.InputError, match=r"^workers = 2: must be as many .* memory holds"):
+        run_campaign(deadly, BRIEF, 3, workers=2)  # type: ignore[arg-type]
+
+    def interrupt(_: str) -> None:
+        raise KeyboardInterrupt
+
+    task = resting_task(regular_hitch(3), 0.05)
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(task, BRIEF, 1000, workers=2, progress=interrupt)
+    assert {*multiprocessing.active_children()} <= others
 
 
 def test_infeasible_starts_are_failures_of_their_run(tmp_path: Path) -> None:

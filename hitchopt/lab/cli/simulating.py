@@ -1,14 +1,13 @@
-"""The commands simulate and sweep: simulated flights, campaigns and parameter studies."""
+"""The command simulate: simulated flights and campaigns."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import (
     PATH,
@@ -19,7 +18,6 @@ from hitchopt.cli.options import (
     paper_option,
     picture_format,
     plan_path,
-    width_option,
 )
 from hitchopt.cli.output import ProgressBar, known_text, quantities, say, span_text
 from hitchopt.errors import InputError
@@ -30,14 +28,13 @@ if TYPE_CHECKING:
 
     import click
 
+    from hitchopt.lab.simulation.campaign import Campaign
     from hitchopt.lab.simulation.exported import ExportedFlight
     from hitchopt.lab.simulation.judgement import Spread
     from hitchopt.lab.simulation.report import Simulation
     from hitchopt.lab.simulation.rests import Rest
     from hitchopt.lab.simulation.settings import Settings
     from hitchopt.lab.simulation.task import Task
-    from hitchopt.lab.sweeps.campaign import Campaign
-    from hitchopt.lab.sweeps.sweep import Summary
 
 RESULTS = "simulation"  # Default directory of the results, in DIR
 ERROR_COLUMNS = ("mean", "deviation", "largest")
@@ -102,8 +99,6 @@ ERRORS = {
     "moving": "all, moving",
     "without_sag": "all, without sag",
 }
-MAX_REASONS = 8  # Maximum number of limits of a sweep that are listed
-MAX_POINTS = 40  # Maximum number of points of a sweep that are listed
 
 
 def _settings_options() -> Sequence[click.Option]:
@@ -278,7 +273,7 @@ def _fly_campaign(
     task: Task, settings: Settings, runs: int, workers: int | None, folder: Path
 ) -> None:
     """Simulate several flights; report and write their results."""
-    from hitchopt.lab.sweeps.campaign import (
+    from hitchopt.lab.simulation.campaign import (
         expected_seconds,
         processes,
         run_campaign,
@@ -471,7 +466,7 @@ def _campaign_rows(campaign: Campaign) -> Iterator[dict[str, object]]:
 
 def _distribution(values: Iterable[float], *, in_cm: bool) -> dict[str, object]:
     """Return the distribution of values, or of lengths [m] in centimetres, by heading."""
-    from hitchopt.lab.sweeps.campaign import Distribution
+    from hitchopt.lab.simulation.campaign import Distribution
 
     unit, digits = (0.01, ".1f") if in_cm else (1.0, ".3g")
     each = vars(Distribution.of(values)).items()
@@ -589,54 +584,4 @@ def _campaign_tables(campaign: Campaign) -> str:
     parts.append(table("All flights", _campaign_rows(campaign)))
     if campaign.failures:
         parts.append(table("First failures", campaign.to_dict()["first_failures"]))
-    return "\n\n".join(parts)
-
-
-@command(
-    "study STUDY",
-    option("-o --output", "Output directory; default: ./ and the stem of STUDY.", PATH, "DIR"),
-    option("--workers", "Processes; by default one per processor.", int, "N"),
-    option("--scheduler", "A dask scheduler, such as tcp://host:8786.", str, "ADDRESS"),
-    width_option("the picture"),
-)
-def sweep(
-    study: Path,
-    output: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    width: float | None,
-) -> None:
-    """Plan or simulate every case of STUDY.yaml (needs dask.distributed).
-
-    Every result is saved immediately as a line of DIR/rows.jsonl. The same command continues an
-    interrupted sweep: only missing rows are computed. If STUDY is the DIR of a sweep, its results
-    are shown.
-    """
-    from hitchopt.lab.sweeps.sweep import PICTURE, draw_sweep, outcomes, read_study, summary
-    from hitchopt.view.style import atomic_write, save_figure
-
-    folder = study if study.is_dir() else Path(study.stem) if output is None else output
-    if not study.is_dir():
-        with ProgressBar("starting workers") as progress:
-            ho.run_sweep(study, folder, workers=workers, scheduler=scheduler, progress=progress)
-    rows = ho.load_sweep(folder)
-    sweep, points = summary(rows, len(read_study(folder)["cases"])), outcomes(rows)
-    say(_sweep_tables(sweep, points), directory=str(folder), summary=asdict(sweep), points=points)
-    if (figure := draw_sweep(points, width)) is not None:
-        with atomic_write(folder / PICTURE) as path:
-            save_figure(figure, path)
-        say(f"drawn in {folder / PICTURE}")
-    say(f"rows are in {folder}; ho.load_sweep returns them for pandas")
-
-
-def _sweep_tables(sweep: Summary, points: list[dict[str, Any]]) -> str:
-    """Return the results of a sweep's points, and its totals."""
-    binding = [{"limit": name, "rows": count} for name, count in sweep.binding[:MAX_REASONS]]
-    parts = [table("What bound", binding)] if binding else []
-    parts.append(table("Plans", points[:MAX_POINTS]))
-    parts += [f"{len(points) - MAX_POINTS} more"] if len(points) > MAX_POINTS else []
-    count, share = f"{sweep.planned.rows} of {sweep.cases} rows", sweep.planned
-    parts.append(f"{count}; planned: {share.count} of {share.rows}")  # not a random sample
-    if sweep.succeeded is not None:
-        parts.append(f"simulated flights that succeeded: {sweep.succeeded}")
     return "\n\n".join(parts)

@@ -1,7 +1,6 @@
 """Settings of a simulated flight: resolution of the ropes, and disturbances.
 
-Perturbations and settings declare their keys, from which the command line, studies and their pages
-follow.
+Perturbations and settings declare their keys, from which the command line follows.
 """
 
 from __future__ import annotations
@@ -333,11 +332,6 @@ def perturbation_keys() -> dict[str, Key]:
     """Return the keys of perturbations, and of settings that replace parameters of the plan."""
     settings = keys_of(Settings)
     return keys_of(Perturbations) | {name: settings[name] for name in PHYSICAL}
-
-
-def flight_keys() -> dict[str, Key]:
-    """Return the keys of perturbations and of settings."""
-    return keys_of(Perturbations) | keys_of(Settings)
 
 
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
+import multiprocessing
 import os
+import signal
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.stats import binomtest
 
 from hitchopt.errors import HitchoptError, InputError, Progress, UnsupportedError
 from hitchopt.lab.simulation.commands import resolved
@@ -29,7 +34,6 @@ from hitchopt.lab.simulation.report import (
 )
 from hitchopt.lab.simulation.settings import CLASPS, Settings
 from hitchopt.lab.simulation.task import Task
-from hitchopt.lab.sweeps.sweep import Share, run_tasks
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import integer
 from hitchopt.view import style
@@ -87,8 +91,9 @@ class Campaign:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % confidence interval of the success rate."""
-        return Share(self.successes, len(self.runs)).interval
+        """Wilson's 95 % confidence interval of the success rate, valid for few runs too."""
+        interval = binomtest(self.successes, len(self.runs)).proportion_ci(0.95, method="wilson")
+        return float(interval.low), float(interval.high)
 
     @property
     def figures(self) -> dict[str, list[float]]:
@@ -154,21 +159,42 @@ def run_campaign(
     size = min(-(-runs // workers), LARGEST_BATCH) if settings.cables == CLASPS else 1
     batches = [seeds[first : first + size] for first in range(0, runs, size)]
     completed: list[CampaignRun] = []
-    with contextlib.ExitStack() as stack:
-        results: Iterable[list[CampaignRun]] = (
-            run_flights(batch, settings, task) for batch in batches
-        )
-        if min(workers, len(batches)) > 1:
-            tasks = {f"flight-{batch[0]}": (batch, settings) for batch in batches}
-            futures = run_tasks(run_flights, tasks, workers, shared=task)
-            stack.enter_context(contextlib.closing(futures))
-            results = (future.result() for _, future in futures)
+    with closing(_results(task, settings, batches, workers)) as results:
         for batch_of_runs in results:
             completed += batch_of_runs
             if progress is not None:
                 succeeded = sum(run.succeeded for run in completed)
                 progress(f"{len(completed)} of {runs} flown, {succeeded} succeeded")
     return Campaign(resolved(task, settings), tuple(sorted(completed, key=lambda run: run.seed)))
+
+
+def _results(
+    task: Task, settings: Settings, batches: Sequence[Sequence[int]], workers: int
+) -> Generator[list[CampaignRun], None, None]:
+    """Yield the results of batches of seeds as they are finished, in any order.
+
+    A generator that is closed, or that raises, ends its processes and their flights.
+    """
+    count = min(workers, len(batches))
+    if count == 1:
+        yield from (run_flights(batch, settings, task) for batch in batches)
+        return
+    others = {*multiprocessing.active_children()}
+    spawning = multiprocessing.get_context("spawn")  # a fork would copy locks of threads
+    # Ctrl-C reaches all processes of a terminal; this one ends the others
+    pool = ProcessPoolExecutor(count, spawning, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+    try:
+        futures = [pool.submit(run_flights, batch, settings, task) for batch in batches]
+        for future in as_completed(futures):
+            yield future.result()
+    except BrokenProcessPool:
+        bound = "as many processes as memory holds, of which one was ended"
+        raise InputError("workers", workers, bound, "lower it") from None
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in {*multiprocessing.active_children()} - others:
+            process.terminate()
+            process.join()
 
 
 def processes(runs: int, workers: int | None = None) -> int:

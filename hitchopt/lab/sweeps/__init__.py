@@ -1,1 +1,0 @@
-"""Sweeps: many plans and simulated flights, on one machine or a cluster."""
