@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -62,7 +63,10 @@ from hitchopt.values import Array, alternatives
 from hitchopt.values.fields import with_fields
 
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
-REFIT_SHARES = (1.0, 0.3)  # Candidate fractions of the usual refit error, for parts
+
+REFIT_SHARES = (0.95, 0.8, 0.6, 0.3)
+"""Fractions of the usual refit error of parts: the next one for each part that is refused."""
+
 STRETCH_FACTORS = (1.0, 1.25, 1.5)  # Stretches that are tried, over the first one
 MAX_STRETCH = 20.0  # Largest stretch that is tried
 STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if setpoints hold no tension
@@ -432,6 +436,7 @@ def _controllers(team: Team) -> list[str]:
 def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -> list[Export]:
     """Export the plan as a whole, slower, or in parts: the first of these without violations."""
     refusals: list[InfeasibleError] = []
+    tried: list[ExportTask] = []
 
     def candidates() -> Iterator[Sequence[ExportTask]]:
         yield (task,)
@@ -441,10 +446,14 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
             slowdown = f"exported {factor - 1.0:.0%} slower than planned"
             note = f"{slowdown}: at full speed, rounding would break a limit"
             yield (replace(task.stretched(factor), notes=(*task.notes, note)),)
-        yield from filter(None, (kind.parts(task, share) for share in REFIT_SHARES))
+        yield from _cuts(kind, task, tried)
 
     def exported(tasks: Sequence[ExportTask], folder: Path) -> list[Export]:
-        return [_export_part(kind, each, folder, say, refusals) for each in tasks]
+        exports = list[Export]()
+        for each in tasks:
+            tried.append(each)
+            exports.append(_export_part(kind, each, folder, say, refusals))
+        return exports
 
     for number, tasks in enumerate(candidates()):
         exports = outcome(partial(exported, tasks, scratch / str(number)))
@@ -455,6 +464,27 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
             return exports
     # Parts that fit in memory say more than the whole that does not
     raise next((each for each in refusals if not _exceeds_memory(each)), refusals[0])
+
+
+def _cuts(
+    kind: Format, task: ExportTask, tried: Sequence[ExportTask]
+) -> Iterator[Sequence[ExportTask]]:
+    """Yield a task cut into parts, of which the one that was tried last becomes more accurate.
+
+    Smaller refit errors take more memory, so that this part becomes shorter.
+    """
+    refusals = Counter[float]()  # of parts, by their starts [s]
+    spans = list[tuple[float, float]]()
+    while True:
+        refused = spans
+        parts = kind.parts(task, lambda part: REFIT_SHARES[refusals[part.begins]])
+        spans = [(part.begins, part.flight.duration) for part in parts]
+        if parts and spans != refused:
+            yield parts
+        begins = tried[-1].begins
+        refusals[begins] += 1
+        if refusals[begins] == len(REFIT_SHARES):
+            return
 
 
 def _exceeds_memory(refusal: InfeasibleError) -> bool:
@@ -630,8 +660,7 @@ def _move_exports(
         if (note := part.folder / NOTE).exists():
             sources[NOTE] = note
     if several:
-        cuts = task.plan if task.rests_longer else task.flight
-        ends = [*(part.begins for part in exports[1:]), cuts.duration]
+        ends = [*(part.begins for part in exports[1:]), task.timeline.duration]
         spans = [[part.begins, end] for part, end in zip(exports, ends, strict=True)]
         content = _manifest_head(kind, task) | {"duration": task.flight.duration, "files": []}
         content |= {"parts": [folder.name for folder in folders], "plan_spans": spans}

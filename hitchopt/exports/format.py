@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -105,6 +105,11 @@ class ExportTask:
         """Return whether parts end with longer rests than the plan, until offsets are at rest."""
         is_alone = self.flight.alone is not None
         return self.options.longer_rests and self.holds_tension and is_alone
+
+    @property
+    def timeline(self) -> Flight:
+        """The flight at whose rests parts are cut: the plan if they rest longer."""
+        return self.plan if self.rests_longer else self.flight
 
     def stretched(self, factor: float) -> ExportTask:
         """Return the task of the plan flown slower by a factor."""
@@ -269,10 +274,14 @@ class Format(ABC):
         names = (self.file.format(name=name, number=i, **fields) for i, name in each)
         return tuple(dict.fromkeys(names))
 
-    def parts(self, task: ExportTask, share: float) -> Sequence[ExportTask]:  # noqa: ARG002
+    def parts(
+        self,
+        task: ExportTask,  # noqa: ARG002
+        share_of: Callable[[ExportTask], float],  # noqa: ARG002
+    ) -> Sequence[ExportTask]:
         """Return a task cut into parts that are flown one by one; empty if that is not possible.
 
-        The refit error of parts is this fraction of the usual one.
+        ``share_of`` returns the fraction of the usual refit error that a part may have.
         """
         return ()
 

@@ -1,6 +1,7 @@
 """Cut plans at rests into parts that are flown one by one, for drones of little memory.
 
-Drones hover where a part ends, until the next one is uploaded. Setpoints with offsets, which hold
+Drones hover where a part ends, until the next one is uploaded: at the end of a phase rather than in
+the middle of over-travels, where vertices are off their goals. Setpoints with offsets, which hold
 the tension, come to rest later than the plan. So every part has offsets of its own, and its end
 rests longer than planned. The plan is certified with these rests, in which its phases last longer.
 """
@@ -8,28 +9,47 @@ rests longer than planned. The plan is certified with these rests, in which its 
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
 
 from hitchopt.checks.certifying import certificate_of
 from hitchopt.exports.format import ExportTask
 from hitchopt.exports.held_tension import REST_TIME
+from hitchopt.geometry.vectors import length
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT, TAKE_OFF
 
 Fits = Callable[[ExportTask], bool]  # Whether a part fits in memory
+AT_GOAL = 1e-3  # [m] Distance from the end of its phase up to which a rest is at a goal
+
+
+class Rest(NamedTuple):
+    """A rest of a plan."""
+
+    distance: float  # Largest distance of a drone from where the phase ends [m]
+    phase: str  # Name of the phase
+
+    @property
+    def is_goal(self) -> bool:
+        """Return whether the plan rests at a goal, rather than in the middle of over-travels."""
+        return self.distance <= AT_GOAL
 
 
 def cut_into_parts(task: ExportTask, fits: Fits) -> Sequence[ExportTask]:
-    """Return the task cut at rests into the fewest parts that fit; empty if none do.
+    """Return the task cut at rests into parts that fit; empty if none do.
 
-    A plan is not cut if other plans fly at the same time, since they would not wait. No part is a
-    take-off alone, after which tying would wait for the next upload. Of as many parts, those that
-    end with a taut hitch are preferred.
+    Parts end where phases end, and are the fewest that do. Where no such part fits, it ends at the
+    rest that is nearest to the end of its phase, such as the smallest over-travel. A plan is not
+    cut if other plans fly at the same time, since they would not wait. No part is a take-off alone,
+    after which tying would wait for the next upload. Of as many parts, those that end with a taut
+    hitch are preferred.
     """
-    flight = task.plan if task.rests_longer else task.flight
+    flight = task.timeline
     if flight.others:
         return ()
     rests = flight.breaks[flight.rest_breaks].tolist()
@@ -50,6 +70,7 @@ def _cuts(task: ExportTask, flight: Flight, rests: Sequence[float], fits: Fits) 
     def is_too_long(start: float, end: float) -> bool:
         return not fits(task.between(start, end))
 
+    goals = [rest for rest in rests if _rest_at(flight, rest).is_goal]
     cuts = [*rests[:1]]
     while (start := cuts[-1]) < rests[-1]:
         after = max(start, _end_of_take_off(flight, start)) + JOINT
@@ -57,10 +78,12 @@ def _cuts(task: ExportTask, flight: Flight, rests: Sequence[float], fits: Fits) 
         count = bisect_left(ends, True, key=partial(is_too_long, start))
         if count == 0:
             return []
-        cuts.append(ends[count - 1])
+        reached = ends[:count]
+        nearest = min(reversed(reached), key=partial(_rest_at, flight))
+        cuts.append(next((end for end in reversed(reached) if end in goals), nearest))
     for i in range(len(cuts) - 2, 0, -1):
         after = max(cuts[i - 1], _end_of_take_off(flight, cuts[i - 1])) + JOINT
-        taut = [rest for rest in rests if after < rest <= cuts[i] and _is_taut(flight, rest)]
+        taut = [goal for goal in goals if after < goal <= cuts[i] and _is_taut(flight, goal)]
         fitting = (rest for rest in reversed(taut) if not is_too_long(rest, cuts[i + 1]))
         cuts[i] = next(fitting, cuts[i])
     return cuts
@@ -74,6 +97,19 @@ def _end_of_take_off(flight: Flight, start: float) -> float:
         others = (phase.start for phase in phases if phase.name != TAKE_OFF)
         end = max(end, next(others, start))
     return end
+
+
+def _rest_at(flight: Flight, time: float) -> Rest:
+    """Return the rest at a time [s], of the team whose drones are farthest from its end."""
+    return max(_rests_of_teams(flight, time))
+
+
+def _rests_of_teams(flight: Flight, time: float) -> Iterator[Rest]:
+    """Yield the rest of each team at a time [s]; of two phases, the one that ends there counts."""
+    for each in flight.teams:
+        phase = next(phase for phase in each.motion.phases if phase.end > time - JOINT)
+        before_end = each.motion.drones.at(phase.end) - each.motion.drones.at(time)
+        yield Rest(float(np.max(length(before_end))), phase.name)
 
 
 def _is_taut(flight: Flight, time: float) -> bool:
@@ -96,6 +132,13 @@ def _parts(task: ExportTask, cuts: Sequence[float]) -> list[ExportTask]:
             f"({REST_TIME * (count - 1):g} s in total) until setpoints are at rest; the "
             "certificate covers them"
         )
+    notes += [
+        f"the part that ends at t = {cut:.3f} s leaves drones up to {100.0 * rest.distance:.2g} cm "
+        f"from where {rest.phase} ends, since none that reaches a goal fits: stream the plan, or "
+        "start the next part soon"
+        for cut in cuts[1:-1]
+        if not (rest := _rest_at(task.timeline, cut)).is_goal
+    ]
     parts = []
     for i, (start, end) in enumerate(pairwise(cuts), 1):
         part = f"part {i} of {count}, t = {start:.3f} s to {end:.3f} s of the plan"

@@ -18,7 +18,8 @@ from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.format import ExportTask, format_of
 from hitchopt.exports.held_tension import REST_TIME, held_tension
 from hitchopt.exports.parts import cut_into_parts
-from tests.helpers.exported_plans import task_of
+from hitchopt.motion.motion import Phase
+from tests.helpers.exported_plans import swarm_of, task_of
 from tests.helpers.plans import GOOD, PROBLEMS, planned, planned_of
 
 MISSION = "tie_carry_untie"
@@ -102,6 +103,54 @@ def test_parts_end_where_the_longer_rest_is_certified(latest: str, cut: str) -> 
         assert np.max(np.abs(last)) < 1e-3
 
 
+def over_travelling_task(sizes: list[float]) -> ExportTask:
+    """Two moves of five drones, with over-travels of some sizes [m] about each goal, and a rest.
+
+    Over-travels last a second each.
+    """
+    start = np.random.default_rng(3).uniform(-2.0, 2.0, (5, 3)) + [1.0, -2.0, 4.0]
+    places, breaks, phases = [start], [0.0], list[Phase]()
+    for shift in ([0.3, 0.1, 0.0], [-0.2, 0.4, 0.1]):
+        goal = places[-1] + shift
+        beyond = [goal + [size, 0.0, 0.0] for size in sizes]
+        for name, stops in (("morph", [goal]), ("settle", [*beyond, goal, goal]), ("hold", [goal])):
+            begin = breaks[-1]
+            breaks += [begin + 1.0 + i for i in range(len(stops))]
+            places += stops
+            phases.append(Phase(name, len(phases), begin, breaks[-1]))
+    motion = swarm_of(np.array(places), np.array(breaks))
+    return task_of(motion.replaced(phases=tuple(phases)), "crazyswarm2")
+
+
+def test_parts_end_at_goals_rather_than_within_over_travels() -> None:
+    """Where no goal fits, they end at the smallest over-travel, and a note says so."""
+    sizes = [0.28, -0.23, 0.17, -0.12, 0.07, -0.03]
+    task = over_travelling_task(sizes)
+    off_goal = dict.fromkeys(task.flight.breaks.tolist(), 0.0)  # of rests [m]
+    for settle in (phase for phase in task.flight.phases if phase.name == "settle"):
+        off_goal |= {settle.start + 1.0 + i: abs(size) for i, size in enumerate(sizes)}
+    counts = list[int]()  # of parts that end within over-travels
+    for seconds in range(2, 21):
+
+        def fits(part: ExportTask, seconds: int = seconds) -> bool:
+            return part.flight.duration <= seconds
+
+        parts = cut_into_parts(task, fits)
+        joints = [part.begins for part in parts[1:]]
+        for start, joint in zip([0.0, *joints], joints, strict=False):
+            reached = [off for rest, off in off_goal.items() if start < rest <= start + seconds]
+            assert off_goal[joint] == min(reached)
+        within = [joint for joint in joints if off_goal[joint]]
+        notes = [note for note in parts[0].notes if "reaches a goal" in note] if parts else []
+        assert len(notes) == len(within)
+        for note, joint in zip(notes, within, strict=True):
+            distance = f"{100.0 * off_goal[joint]:.2g} cm from where settle ends"
+            assert f"ends at t = {joint:.3f} s leaves drones up to {distance}" in note
+        counts.append(len(within))
+    assert counts[0] > 0
+    assert counts[10] == 0
+
+
 def is_named(path: Path) -> bool:
     kinds = {"controller:", "model:", "quadrotor: paper_132g", "quadrotor: crazyflie"}
     return any(kind in path.read_text("utf-8") for kind in kinds)
@@ -144,6 +193,11 @@ def test_the_problem_of_init_exports_to_crazyflies(tmp_path: Path) -> None:
     path = tmp_path / "problem.yaml"
     done = CliRunner().invoke(main, ["init", str(path)])
     assert done.exit_code == 0, done.output
-    parts = ho.solve(path).export("crazyswarm2", tmp_path / "show")
+    plan = ho.solve(path)
+    parts = plan.export("crazyswarm2", tmp_path / "show")
     assert len(parts) > 1
     assert not any(part.goes_slack for part in parts)
+    ends = [phase.end for phase in plan.motion.phases]
+    for part in parts[1:]:
+        assert min(abs(part.begins - end) for end in ends) < 1e-6
+    assert not any("reaches a goal" in note for part in parts for note in part.notes)

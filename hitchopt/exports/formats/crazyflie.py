@@ -28,7 +28,7 @@ import math
 import re
 import struct
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import resources
 from math import comb, factorial
 from pathlib import Path
@@ -112,12 +112,15 @@ class CrazyflieFormat(Format):
         frame = frames[0] if len(frames) == 1 and frames[0] in AXES else ""
         return FileContents.of_curves(drones, frame, self.smooth, findings)
 
-    def parts(self, task: ExportTask, share: float) -> Sequence[ExportTask]:
-        """Return the fewest parts of a task that fit in memory, cut at rests; empty if none do."""
+    def parts(
+        self, task: ExportTask, share_of: Callable[[ExportTask], float]
+    ) -> Sequence[ExportTask]:
+        """Return a task cut at rests into parts that fit in memory; empty if none do."""
 
         def fits(part: ExportTask) -> bool:
             limit = self.max_pieces(part.flight.drones)
-            return len(fit_breaks(part.flight.drones, self.kind, share, limit)) - 1 <= limit
+            breaks = fit_breaks(part.flight.drones, self.kind, share_of(part), limit)
+            return len(breaks) - 1 <= limit
 
         return cut_into_parts(task, fits)
 
