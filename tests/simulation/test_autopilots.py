@@ -446,6 +446,7 @@ def test_low_passes_halve_the_power_at_their_cutoff_and_keep_what_is_steady(cuto
 
 
 def test_packets_are_rounded_and_hold_the_pull() -> None:
+    """Only filters that take the pull for an acceleration need more than the cable's force."""
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.0)
     (task,) = resting_task(hitch, 0.1).teams
     settings = Settings(controller="mellinger")
@@ -454,7 +455,10 @@ def test_packets_are_rounded_and_hold_the_pull() -> None:
         np.testing.assert_allclose(values, 1e-3 * np.rint(1e3 * values), atol=1e-12)
     assert 0.0 < np.max(np.abs(sent.positions - task.states.positions)) <= 5.0001e-4
     forces, mass = task.states.cable_forces[0], float(task.team.mass[0])
+    np.testing.assert_allclose(sent.accelerations[0], -forces / mass, atol=2e-3)
     loop = FlightController.of("mellinger", mass, stiffest_gains(mass))
+    filtered = replace(settings, estimator=HELD)
+    sent = received(task, flown_team(task.team, filtered), filtered)
     held = forces + false_pulls(loop, forces, mass)
     np.testing.assert_allclose(sent.accelerations[0], -held / mass, atol=2e-3)
     far = np.full((3, 6, 3), 50.0)
@@ -469,6 +473,24 @@ def test_packets_are_rounded_and_hold_the_pull() -> None:
     rates = rates[20:-20]  # without ends' differences
     assert 0.5 < np.max(np.abs(rates)) < 2.0
     assert not received(swung, hitch.team, Settings(controller="lee")).rates.any()
+
+
+@pytest.mark.parametrize("name", ["mellinger", "lee"])
+@pytest.mark.parametrize("estimator", [None, "ideal", "crazyflie"])
+def test_streams_hold_the_planned_tension_with_exact_and_filtered_states(
+    name: str, estimator: str | None
+) -> None:
+    """Plans that name no controller fly with exact states unless a filter is stated."""
+    team = ho.Team(3, 2.4, tension=0.4, cable_density=0.003)
+    polygon = np.array([[1.2, 0.5], [0.7, -0.3], [0.2, 0.4]])
+    hitch = ho.Hitch.spread(team, polygon, altitude=1.6)
+    plan = ho.solve(hitch, ho.Hold(seconds=2.0))
+    flown = ho.simulate(
+        plan, cables="clasps", upload=False, controller=name, estimator=estimator, seed=2
+    )
+    record = flown.flight.record
+    ratio = float(np.mean(record.tensions[record.t > 1.0])) / 0.4
+    assert ratio == pytest.approx(1.0, abs=0.05)
 
 
 def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:

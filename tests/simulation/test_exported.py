@@ -17,7 +17,7 @@ from hitchopt.drones.controllers import HELD
 from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.exports.contents import PLAN_COPY
 from hitchopt.exports.format import format_of
-from hitchopt.lab.simulation.commands import flown_gains, flown_team, resolved, streamed
+from hitchopt.lab.simulation.commands import flown_gains, flown_team, received, resolved
 from hitchopt.lab.simulation.exported import (
     BEFORE,
     BETWEEN,
@@ -57,7 +57,7 @@ def test_streamed_setpoints_are_those_of_the_file_as_packets_hold_them(
     settings = resolved(flown.task, Settings())
     assert (settings.controller, settings.upload) == ("mellinger", False)
     assert settings.estimator == HELD
-    own = streamed(task.teams[0], flown_team(task.team, settings), follows=True)
+    own = received(task.teams[0], flown_team(task.team, settings), settings)
     assert files is not None
     assert flown.task.duration == pytest.approx(plan.duration)
     for name in ("positions", "velocities", "accelerations"):

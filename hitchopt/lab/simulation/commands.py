@@ -238,16 +238,22 @@ def received(task: TeamTask, team: Team, settings: Settings) -> Commands:
     Raises InputError for an upload without a plan, InfeasibleError for a plan too large for it.
     """
     if not settings.upload:
-        return streamed(task, team, follows=settings.controller in PACKET_RATES)
+        is_filtered = settings.estimator is not None
+        false_pull = team.false_pull if is_filtered else np.zeros((team.drones, 3))
+        return streamed(task, team, false_pull, follows=settings.controller in PACKET_RATES)
     if task.flight is None:
         raise InputError("upload", True, "with a plan", "pass the plan's directory")
     return uploaded(task.flight, team, follows=settings.controller in CURVE_RATES)
 
 
-def streamed(task: TeamTask, team: Team, *, follows: bool) -> Commands:
-    """Return the rounded packets of full states, with body rates if ``follows``."""
+def streamed(task: TeamTask, team: Team, false_pull: Array, *, follows: bool) -> Commands:
+    """Return the rounded packets of full states, with body rates if ``follows``.
+
+    ``false_pull`` (2n, 3) is that of the filters that fly, as in ``States.held_forces``; zero if
+    states are exact.
+    """
     setpoints, mass = task.states, team.mass[:, None]
-    forward = setpoints.accelerations - setpoints.held_forces(team.false_pull) / mass
+    forward = setpoints.accelerations - setpoints.held_forces(false_pull) / mass
     rates = body_rates(mass, forward, task.states.t, follows=follows)
     return packets(Commands(setpoints.positions, setpoints.velocities, forward, rates))
 
