@@ -388,8 +388,19 @@ def _vertex_path(key: str, value: object) -> Array:
         gaps = gaps[1:]
     if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
         bound = f"a path whose times increase from 0 on by {MIN_GAP:g} s or more, and end after it"
-        raise InputError(key, path.tolist(), bound, "sort its points by time")
+        raise InputError(key, path.tolist(), bound, _remedy_for_times(times))
     return path
+
+
+def _remedy_for_times(times: Array) -> str:
+    """Return what to change of the times (J,) [s] of a path that are too close or not in order."""
+    if np.any(np.diff(times) < 0.0):
+        return "sort its points by time"
+    if times[0] < 0.0:
+        return "count times from the start of the step"
+    if times[-1] == 0.0:
+        return "add a point with a later time"
+    return f"leave {MIN_GAP:g} s or more before each of its points"
 
 
 _PATH = replace(_POINTS, check=_vertex_path, schema={"anyOf": [_POINTS, _PLACES]})

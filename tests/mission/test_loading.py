@@ -418,6 +418,26 @@ def test_faults_are_told_with_place(
 
 
 @pytest.mark.parametrize(
+    ("times", "remedy"),
+    [
+        ([0.0], "add a point with a later time"),
+        ([0.0, 0.0], "add a point with a later time"),
+        ([1e-4], "leave 0.001 s or more before each of its points"),
+        ([1.0, 1.0001, 3.0], "leave 0.001 s or more before each of its points"),
+        ([-1.0, 2.0], "count times from the start of the step"),
+        ([-1.0], "count times from the start of the step"),
+        ([3.0, 1.0], "sort its points by time"),
+        ([2.0, 1.0, 0.0], "sort its points by time"),
+    ],
+)
+def test_the_remedy_for_times_of_a_path_is_what_helps(times: list[float], remedy: str) -> None:
+    path = [[t, 2.0 + 0.1 * k, 0.5] for k, t in enumerate(times)]
+    with pytest.raises(InputError, match=f"; {remedy}") as caught:
+        FollowVertex(0, path)
+    assert caught.value.key == "path"
+
+
+@pytest.mark.parametrize(
     ("path", "value", "message"),
     [
         (["objects"], {"box": {"at": [0, 0, 0]}}, "box: has none of outline, circle, file; write"),
