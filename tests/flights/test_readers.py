@@ -18,6 +18,7 @@ from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.lab.flights.logs import decompressed
 from hitchopt.lab.flights.readers import table_of
 from hitchopt.lab.flights.recordings import NO_MARKERS, RecordedFlight, Signal, Track
+from hitchopt.lab.flights.stamps import evened
 from hitchopt.values import Array
 from tests.helpers import writers as w
 
@@ -350,6 +351,117 @@ def test_repairs_are_notes(tmp_path: Path) -> None:
     flight = ho.read_flight(other(tmp_path / "rated", w.sample()))
     assert flight.notes == ("times are as printed: they differ from frames at 120 Hz",)
     assert flight.tracks["cf3"].t[-1] == pytest.approx(0.59)
+
+
+def at_receipt(t: Array, seed: int, share: float = 0.02) -> Array:
+    """Return times of arrival: a share waits up to 150 ms, and those behind arrive with it."""
+    rng = np.random.default_rng(seed)
+    waits = rng.uniform(0.0, 0.15, len(t)) * (rng.random(len(t)) < share)
+    return np.maximum.accumulate(t + waits + rng.uniform(0.0, 5e-4, len(t)))
+
+
+@pytest.mark.parametrize("rate", [30.0, 50.0, 96.0, 200.0])
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+def test_times_of_receipt_are_evened_out_where_a_rate_fits(rate: float, lost: float) -> None:
+    """Most of the error goes, also with lost samples; these alone change nothing."""
+    before, after = [], []
+    for seed in range(5):
+        rng = np.random.default_rng(50 + seed)
+        t = 7.3 + np.arange(int(12.0 * rate)) / rate
+        t = t[rng.random(len(t)) >= lost]
+        on_time = at_receipt(t, seed, share=0.0)
+        assert evened(on_time).t is on_time
+        arrived = at_receipt(t, seed)
+        stamps = evened(arrived)
+        assert stamps.rate == pytest.approx(rate, rel=1e-4)
+        assert np.all(np.diff(stamps.t) > 0.0)
+        assert np.array_equal(stamps.t[~stamps.late], arrived[~stamps.late])
+        before.append(np.sqrt(np.mean((arrived - t) ** 2)))
+        after.append(np.sqrt(np.mean((stamps.t - t) ** 2)))
+    assert np.mean(after) < 0.35 * np.mean(before)
+    if not lost:
+        assert np.median(after) < 1e-3
+
+
+@pytest.mark.parametrize("power", [0.9, 0.98, 1.02, 1.1])
+@pytest.mark.parametrize("size", [30, 300, 3000])
+def test_a_rate_that_changes_slowly_stays(power: float, size: int) -> None:
+    t = 0.1 * np.arange(float(size)) ** power
+    assert evened(t).t is t
+
+
+def test_a_repeated_time_shifts_no_other() -> None:
+    t = np.arange(500) / 100.0
+    for place in (3, 250, 497):
+        repeated = np.insert(t, place, t[place])
+        stamps = evened(repeated)
+        assert np.sum(stamps.t != repeated) <= (place + 1 if place < 100 else 0)
+
+
+def test_bodies_stamped_at_receipt_are_where_they_were(tmp_path: Path) -> None:
+    flight = w.sample(frames=600)
+    frames = np.arange(600) / 100.0
+    arrived = at_receipt(frames, 4)
+
+    def stamped(track: Track) -> Track:
+        return Track(arrived[np.rint(100.0 * track.t).astype(int)], track.positions)
+
+    late = replace(
+        flight,
+        tracks={name: stamped(track) for name, track in flight.tracks.items()},
+        markers=stamped(flight.markers),
+    )
+    found = ho.read_flight(w.write_csv(tmp_path / "late.csv", late))
+    assert "stamped up to 0.1" in found.notes[0]
+    assert "at receipt: evened out to 100 Hz" in found.notes[0]
+    assert "omitted" not in str(found.notes)
+    for name, track in flight.tracks.items():
+        assert len(found.tracks[name].t) == len(track.t)
+        errors = np.linalg.norm(found.tracks[name].at(track.t)[0] - track.positions, axis=1)
+        wrong = np.linalg.norm(late.tracks[name].at(track.t)[0] - track.positions, axis=1)
+        assert np.sqrt(np.mean(errors**2)) < 0.3 * np.sqrt(np.mean(wrong**2))
+    usual = found.markers.t[:, None] - np.round(100.0 * found.markers.t[:, None]) / 100.0
+    assert np.max(np.abs(usual)) < 0.3 / 100.0  # markers of late frames are omitted
+    assert len(found.markers.t) > 0.6 * len(flight.markers.t)
+
+
+def test_irregular_times_without_a_rate_are_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    t = np.cumsum(rng.exponential(0.02, 400))
+    track = Track(t, np.column_stack([t, 0.3 * t, 1.0 + 0.0 * t]))
+    flight = RecordedFlight("irregular", {"q0": track})
+    found = ho.read_flight(w.write_csv(tmp_path / "a.csv", flight))
+    assert "intervals are irregular and no rate fits; times are as stamped" in found.notes[0]
+    np.testing.assert_array_equal(found.tracks["q0"].t, t)
+
+
+@pytest.mark.parametrize("epoch", [0.5, 1.7e9])
+@pytest.mark.parametrize("unset", [1, 2, 40])
+def test_times_of_zero_before_a_clock_begins_are_left_out(
+    unset: int, epoch: float, tmp_path: Path
+) -> None:
+    """Of bodies and markers; a clock that counts from zero keeps its first sample."""
+    flight = w.sample(frames=100, visible_share=1.0)
+
+    def stamped(track: Track) -> Track:
+        is_unset = track.t < 0.01 * unset - 1e-6
+        return Track(np.where(is_unset, 0.0, track.t + epoch), track.positions)
+
+    late = replace(
+        flight,
+        tracks={name: stamped(track) for name, track in flight.tracks.items()},
+        markers=stamped(flight.markers),
+    )
+    found = ho.read_flight(w.write_csv(tmp_path / "a.csv", late))
+    markers = int(np.sum(flight.markers.t < 0.01 * unset - 1e-6))
+    rows = 4 * unset + markers
+    assert found.notes[0] == f"{rows} rows omitted: their time is 0, before a clock began"
+    for name, track in flight.tracks.items():
+        np.testing.assert_array_equal(found.tracks[name].positions, track.positions[unset:])
+    assert len(found.markers.t) == len(flight.markers.t) - markers
+    whole = ho.read_flight(w.write_csv(tmp_path / "b.csv", flight))
+    assert not whole.notes
+    assert len(whole.tracks["cf3"].t) == 100
 
 
 def test_positions_that_px4_does_not_trust_are_left_out(tmp_path: Path) -> None:

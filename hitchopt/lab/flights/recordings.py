@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, InputError, OneLine, optional_module
+from hitchopt.lab.flights.stamps import before_the_clock, evened
 from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array, as_array, counted
 
@@ -310,11 +311,13 @@ def flight_of(
     """Return a flight of bodies, of points named MARKER, and of loads, with lengths in a unit.
 
     Positions of bodies are in order of time. ``fields`` are others of ``RecordedFlight``. Rows
-    without a value, those of lost bodies, and rows that repeat a time are omitted. Raises FileError
-    for an unknown unit or descending times.
+    without a value, before a clock begins, of lost bodies, and that repeat a time are omitted.
+    Times of late samples are evened out where a rate fits (``stamps``). Raises FileError for an
+    unknown unit or descending times.
     """
-    loads = loads or {}
     notes = list(notes)
+    bodies, loads, clock_notes = _on_a_clock(bodies, loads or {})
+    notes += clock_notes
     drones = {name: own for name, own in bodies.items() if name != MARKER}
     length_unit = scale_of(unit)
     lost = 0
@@ -329,6 +332,8 @@ def flight_of(
         notes.append(
             f"{counted(lost, 'sample')} omitted: x = y = z = 0, as drivers publish lost bodies"
         )
+    recorded, late_times, late_notes = _evened_out(recorded)
+    notes += late_notes
     units = _Units(length_unit, _epoch(recorded) if fields.get("one_clock", True) else 0.0)
     if units.epoch:
         clock = f"at {units.epoch:.3f} s of the recording's clock"
@@ -338,6 +343,7 @@ def flight_of(
     if omitted := count - sum(len(track.t) for track in tracks.values()):
         notes.append(f"{omitted} of {count} rows omitted: no position, or a repeated time")
     cloud = bodies[MARKER]["position"].rows if MARKER in bodies else np.zeros((0, 4))
+    cloud = cloud[~np.isin(cloud[:, 0], late_times)]  # these may be of several frames
     signals = _signals(drones, units, apart=("position", "commanded_position"))
     sources = {
         name: topics for name, own in {**drones, **loads}.items() if (topics := _topics(own))
@@ -354,6 +360,56 @@ def flight_of(
         notes=tuple(notes),
         **fields,
     )
+
+
+def _on_a_clock(bodies: Content, loads: Content) -> tuple[Content, Content, list[str]]:
+    """Return bodies and loads without rows that precede their clocks, and notes."""
+    counts = list[int]()
+
+    def begun(logged: Logged, *, repeats: bool) -> Logged:
+        early = before_the_clock(logged.rows[:, 0], repeats=repeats)
+        counts.append(early)
+        return logged._replace(rows=logged.rows[early:])
+
+    def all_begun(content: Content) -> Content:
+        return {
+            name: {each: begun(logged, repeats=name == MARKER) for each, logged in own.items()}
+            for name, own in content.items()
+        }
+
+    begun_bodies, begun_loads = all_begun(bodies), all_begun(loads)
+    early = f"{counted(sum(counts), 'row')} omitted: their time is 0, before a clock began"
+    return begun_bodies, begun_loads, [early] * any(counts)
+
+
+def _evened_out(recorded: Mapping[str, Array]) -> tuple[dict[str, Array], Array, list[str]]:
+    """Return rows (m, 4) of bodies with late times evened out where a rate fits.
+
+    Then follow the times at which rows were late, and notes.
+    """
+    rows_by_name = dict(recorded)
+    late_times = [np.zeros(0)]
+    irregular = list[str]()
+    by_note = defaultdict[str, list[str]](list)
+    for name, rows in recorded.items():
+        seen = rows[np.isfinite(rows).all(axis=1)]
+        seen = seen[np.any(np.diff(seen, axis=0, prepend=np.nan) != 0.0, axis=1)]
+        if np.any(np.diff(seen[:, 0]) < 0.0):
+            continue  # refused where rows are put in order
+        stamps = evened(seen[:, 0])
+        if stamps.irregular:
+            irregular.append(f"{name} ({stamps.irregular:.0%})")
+        if np.any(stamps.late):
+            rows_by_name[name] = np.column_stack([stamps.t, seen[:, 1:]])
+            late_times.append(seen[stamps.late, 0])
+            delay = float(np.max(seen[:, 0] - stamps.t))
+            late = f"{np.mean(stamps.late):.1%} of its samples are stamped up to {delay:.2g} s late"
+            by_note[f"{late}, as at receipt: evened out to {stamps.rate:.4g} Hz"].append(name)
+    notes = [f"{', '.join(names)}: {note}" for note, names in by_note.items()]
+    if irregular:
+        words = "intervals are irregular and no rate fits; times are as stamped"
+        notes.append(f"{', '.join(irregular)}: {words}")
+    return rows_by_name, np.concatenate(late_times), notes
 
 
 def _is_lost(rows: Array, unit: float) -> NDArray[np.bool_]:
