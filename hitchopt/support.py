@@ -27,7 +27,6 @@ class Feature(StrEnum):
     REPLANNER = "a replanner"
     REACTION = "a reaction to a lost drone"
     SURVIVING = "`limits.survive`"
-    EDITING = "editing in the live view"
     STATICS = "statics"
     SIMULATION = "simulation"
     SCENE = "a scene for MuJoCo"
@@ -80,7 +79,6 @@ _ONE_TEAM = (
 _ALONE = (Feature.REPLANNER, Feature.REACTION, Feature.SIMULATED_LOSS)
 """Those that support no external plans next to it."""
 
-_EDITING = Refusal("one team of catenary robots", "edit the file", key="team")
 _NO_END = Refusal(
     "a hitch", "form one, or continue with the drones at plan.at(plan.duration)", key="end"
 )
@@ -150,8 +148,6 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         "plan without objects",
         key="limits.survive",
     ),
-    (Feature.EDITING, Neighbour.SINGLE_DRONES): _EDITING,
-    (Feature.EDITING, Neighbour.SEVERAL_TEAMS): _EDITING,
     (Feature.STATICS, Neighbour.SINGLE_DRONES): Refusal(
         "a plan of single drones has no cables", "use a hitch's plan"
     ),

@@ -33,7 +33,6 @@ from hitchopt.planners.enclosing import object_of
 from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.steps.tying import check_rollable
 from hitchopt.support import REFUSALS, Feature, Neighbour
-from hitchopt.view.editing import Editing
 from tests.helpers import carried_plans
 from tests.helpers.plans import PROBLEMS, ROOT, planned
 
@@ -113,11 +112,6 @@ def in_company(motion: Motion, neighbour: Neighbour) -> ho.Flight:
     return ho.Flight((TeamMotion("a", motion), TeamMotion("b", other)))
 
 
-def edit(name: str) -> None:
-    path = PROBLEMS / f"{name}.yaml"
-    Editing(path.read_text(encoding="utf-8"), path, SimpleNamespace())  # type: ignore[arg-type]
-
-
 HEAVY = ho.Team(3, 2.3, tension=0.7, cable_density=0.01)
 LOADED = ho.Team(3, 2.3, tension=0.7, cable_density=0.01, load=0.01)
 CHAIN = ho.Team(3, 2.3, topology="open", cable_density=0.01)
@@ -185,8 +179,6 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     (Feature.SURVIVING, Neighbour.OBJECTS): lambda: Requirements(
         ho.Limits(survive="cable"), objects={"drum": DRUM}
     ).flown_by(ho.Team(3, 2.4, release=True, quadrotor="paper_132g")),
-    (Feature.EDITING, Neighbour.SINGLE_DRONES): lambda: edit("swarms/circle_6"),
-    (Feature.EDITING, Neighbour.SEVERAL_TEAMS): lambda: edit("two_teams"),
     (Feature.STATICS, Neighbour.SINGLE_DRONES): lambda: taut_times(swarm().teams[0].motion),
     (Feature.STATICS, Neighbour.FREE_CABLES): lambda: taut_times(slack()),
     (Feature.STATICS, Neighbour.OBJECTS): lambda: ho.equilibrium(carrying(), carrying_time()),

@@ -20,7 +20,6 @@ import hitchopt as ho
 from generators.problem_collection import SECTIONS
 from hitchopt.mission.problem import TeamMission
 from hitchopt.values import Array
-from hitchopt.view.editing import outlines
 from hitchopt.view.painter import draw_plan_storyboard, shots_in_motion
 from hitchopt.view.pictures import draw_plan_view
 from hitchopt.view.style import COLOURS, INK, new_figure, save_figure
@@ -108,7 +107,10 @@ def draw_flights(axes: Axes, mission: TeamMission) -> None:
 
 def draw_outlines(axes: Axes, mission: TeamMission) -> None:
     """Draw the cables at the start and the outlines of all steps, the last one in colour."""
-    polygons = [each for each in outlines(mission) if each is not None]
+    after = [mission.start_outline]
+    for step in mission.steps:
+        after.append(step.checked_polygon_after(mission.team, after[-1]))
+    polygons = [each for each in after if each is not None]
     for i, each in enumerate(polygons):
         last = i == len(polygons) - 1
         x, y = np.vstack([each.vertices, each.vertices[:1]][: 1 + mission.team.layout.closed]).T

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 import hitchopt as ho
 from hitchopt.cli.options import PATH, SUFFIXES, command, option, plan_path, width_option
 from hitchopt.cli.output import ProgressBar, say
-from hitchopt.errors import FileError, HitchoptError, InputError
+from hitchopt.errors import FileError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.motion.plan_file import SavedPlan
     from hitchopt.view.live import LiveView
 
-PROBLEM = "problem.yaml"  # File name of an edited problem next to its plan
 LOADING_TIME = 3.0  # Maximum time until the browser has loaded the page [s]
 # Time to draw the first picture without a graphics card, before the processor is used for
 # certification [s]
@@ -74,10 +73,9 @@ def view(
     *,
     browser: bool,
 ) -> None:
-    """Show and edit the plan in DIR live in the browser; Ctrl-C ends it (needs viser).
+    """Show the plan in DIR live in the browser; Ctrl-C ends it (needs viser).
 
-    A problem FILE (.yaml) is planned first. Dragged points are replanned, and Save writes the
-    problem file: FILE, or DIR/problem.yaml.
+    A problem FILE (.yaml) is planned first.
 
     With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the summary;
     .mp4 and .gif are a film (needs imageio). A simulated flight, DIR/simulation, is saved as a film
@@ -103,7 +101,6 @@ def view(
     from hitchopt.view.live import open_server, server_address
 
     plan = _load_content(path)  # before a page is opened
-    file = path if path.suffix in SUFFIXES else plan_path(path).with_name(PROBLEM)
     server = open_server(host, port)
     address = server_address(server)
     say(f"the plan is at {address}; {how_to_end()}")
@@ -111,7 +108,7 @@ def view(
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     close = server.stop
     try:
-        close = _serve(server, plan, file, ghost or (recording if is_flight else None)).close
+        close = _serve(server, plan, ghost or (recording if is_flight else None)).close
         threading.Event().wait()
     finally:
         close()
@@ -156,17 +153,9 @@ def _load_content(path: Path) -> ho.Plan | SavedPlan:
     return replace(plan, problem=text)
 
 
-def _serve(
-    server: Any,
-    plan: ho.Plan | SavedPlan,
-    file: Path,
-    ghost: Path | None,
-) -> LiveView:
-    """Show a plan in the page of a server, with an editor that saves to ``file``."""
-    from hitchopt.mission.teams import CertifiedFlight
-    from hitchopt.view.editing import Editing
+def _serve(server: Any, plan: ho.Plan | SavedPlan, ghost: Path | None) -> LiveView:
+    """Show a plan in the page of a server."""
     from hitchopt.view.live import LiveView
-    from hitchopt.view.panel import EditingPanel
     from hitchopt.view.scene import ghost_scene
 
     certificate = plan.certificate if isinstance(plan, ho.Plan) else None
@@ -180,10 +169,4 @@ def _serve(
         with ProgressBar("certifying"):
             certificate = ho.certify(plan)
         live.show_certificate(certificate)
-    try:
-        editing = Editing(plan.problem, file, CertifiedFlight(live.flight, certificate))
-    except HitchoptError as error:
-        say(f"it cannot be edited here: {error}")
-    else:
-        EditingPanel(live, editing)
     return live

@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import reduce
 from io import StringIO
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -423,27 +422,6 @@ def with_value(text: str, path: KeyPath, value: Plain) -> str:
             return _replaced(text, [_insertion(text, node, f"{flow(part)}: {flow(value)}")])
         node = node.child(part)
     return _replaced(text, _replacements(node, value))
-
-
-def with_entries(text: str, path: KeyPath, entries: Iterable[int | dict[str, Plain]]) -> str:
-    """Return the text with new entries of the list at a path.
-
-    An integer is the index of an existing entry, which retains its text and the comment lines above
-    it; a new entry is a mapping of one key. Errors are those of ``with_value``.
-    """
-    node = read_node(text)
-    for part in path:
-        node = node.child(part)
-    children = node.children.values()
-    if node.flow or not children:
-        old = [text[child.start : child.end] for child in children]
-        parts = [old[e] if isinstance(e, int) else flow(e) for e in entries]
-        return _replaced(text, [(node.start, node.end, f"[{', '.join(parts)}]")])
-    ends = [_line_end(text, offset) for offset in (node.head, *(c.end for c in children))]
-    old = [text[a:b] for a, b in pairwise(ends)]
-    dash = f"{_line_break(text)}{' ' * node.column}- "
-    body = "".join(old[e] if isinstance(e, int) else dash + flow(e)[1:-1] for e in entries)
-    return _replaced(text, [(ends[0], ends[-1], body or " []")])
 
 
 def _replaced(text: str, replacements: Iterable[tuple[int, int, str]]) -> str:

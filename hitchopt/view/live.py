@@ -19,7 +19,7 @@ from hitchopt.errors import optional_module
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState
-from hitchopt.values import Array
+from hitchopt.values import Array, known
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.own_pages import own_pages_only
 from hitchopt.view.scene import Highlight, Scene, highlight_of, scene_of
@@ -109,7 +109,6 @@ class LiveView:
         self.server = server
         self.time, self.playing, self.speed, self.following = 0.0, False, 1.0, False
         self.flight, self.certificate = flight, certificate
-        self._note = ""
         self._title = title
         self._lock = threading.RLock()
         self._open = True
@@ -121,7 +120,6 @@ class LiveView:
             self.live = LiveScene(self.server, scene_of(flight), "/plan/")
             self._place_camera(self.server.initial_camera, ASPECT)
             self._add_panel()
-            self._fill_panel()
             if ghost is not None:
                 self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
         self.server.on_client_connect(self._widen_view)
@@ -139,31 +137,16 @@ class LiveView:
         self._player.join()
         self.server.stop()
 
-    def show_plan(self, flight: Flight, certificate: Certificate | None, title: str = "") -> None:
-        """Replace the plan."""
-        with self._lock, self.server.atomic():
-            visible = self.live.visible
-            self.live.remove()
-            self.flight, self.certificate, self._title = flight, certificate, title
-            self.live = LiveScene(self.server, scene_of(flight), "/plan/")
-            self.live.visible = visible
-            self._place_camera(self.server.initial_camera, ASPECT)
-            self._fill_panel()
-
     def show_certificate(self, certificate: Certificate) -> None:
         """Show the certificate of the current plan."""
         with self._lock, self.server.atomic():
             self.certificate = certificate
             self._show_head()
-            self._show_checks()
-            self._show_plots()
-
-    def note(self, text: str) -> None:
-        """Draw the plan pale under a note on its relation to the problem; "" ends that."""
-        with self._lock:
-            self._note = text
-            self.live.fade(on=bool(text))
-            self._show_head()
+            labels = [_check_label(check) for check in certificate.checks]
+            colours = [IDLE_COLOUR if check.holds else "red" for check in certificate.checks]
+            with self._checks_tab:
+                self.checks = self._buttons(labels, colours, self._show_check)
+            self._show_plots(certificate)
 
     def seek(self, time: float) -> None:
         """Show the scene at a time [s]."""
@@ -261,10 +244,11 @@ class LiveView:
         widen(client.camera)
 
     def _add_panel(self) -> None:
-        """Add the elements of the panel, which are the same for all plans."""
-        gui = self.server.gui
+        """Add the elements of the panel, and show the plan's start."""
+        gui, phases = self.server.gui, self.flight.phases
         self.head, self.now = gui.add_markdown(""), gui.add_markdown("")
-        self.scrub = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
+        longest = math.ceil(max(self.flight.duration, FRAME) / STEP) * STEP
+        self.scrub = gui.add_slider("time [s]", 0.0, round(longest, DECIMALS), STEP, 0.0)
         self.player = gui.add_button("Play")
         space = gui.add_command("Play or pause", hotkey="space")
         space.on_trigger(lambda _: self.play(on=not self.playing))
@@ -278,12 +262,15 @@ class LiveView:
         self.player.on_click(lambda _: self.play(on=not self.playing))
         self.panel = gui.add_panel()  # initially folded on narrow pages
         self.panel.dock_below(gui.main_panel)
-        self.phases = Buttons(gui, self.panel.add_tab("Phases"), self._show_phase_at)
-        checks = self.panel.add_tab("Certificate")
-        with checks:
+        with self.panel.add_tab("Phases"):
+            spans = [f"{phase.name}: {phase.start:.2f} – {phase.end:.2f} s" for phase in phases]
+            colours = [IDLE_COLOUR] * len(spans)
+            self.phases = self._buttons(spans, colours, lambda i: self.seek(phases[i].start))
+        self._checks_tab = self.panel.add_tab("Certificate")
+        with self._checks_tab:
             gui.add_markdown("Each worst value holds for all t. Click to see where and when.")
             gui.add_button("no highlight", color=IDLE_COLOUR).on_click(self._remove_highlight)
-        self.checks = Buttons(gui, checks, self._show_check)
+        self.checks = list[Any]()
         self._plots_tab = self.panel.add_tab("Plots")
         with self._plots_tab:
             self.values = gui.add_markdown("")
@@ -297,31 +284,32 @@ class LiveView:
             follow.on_update(lambda event: self.follow(on=event.target.value))
             dark.on_update(lambda event: _theme(gui, dark=event.target.value))
             gui.add_button("PNG").on_click(lambda event: self._send_picture(event.client))
-
-    def _fill_panel(self) -> None:
-        """Fill the panel with the plan's phases, checks and plots."""
         self._show_head()
-        self.shown_check.visible = False
-        spans = [f"{p.name}: {p.start:.2f} – {p.end:.2f} s" for p in self.flight.phases]
-        self.phases.show(spans, [IDLE_COLOUR] * len(spans))
-        self._show_checks()
-        self._show_plots()
+        if self.certificate is not None:
+            self.show_certificate(self.certificate)
         self.seek(self.time)
-        longest = math.ceil(max(self.flight.duration, FRAME) / STEP) * STEP
-        self.scrub.max = round(longest, DECIMALS)
+
+    def _buttons(
+        self, labels: Sequence[str], colours: Sequence[str], on_click: Callable[[int], None]
+    ) -> list[Any]:
+        """Add buttons to the current tab; return them. Clicks call ``on_click`` with the index."""
+        buttons = list[Any]()
+        for i, (label, colour) in enumerate(zip(labels, colours, strict=True)):
+            button = self.server.gui.add_button(label, color=colour)
+            button.on_click(lambda _, i=i: on_click(i))
+            buttons.append(button)
+        return buttons
 
     def _show_head(self) -> None:
         state = "being certified …" if self.certificate is None else verdict(self.certificate)
-        state = f"**{state}**" if not self._note else f"what is shown: {state}"
-        note = f"**{plain_words(self._note)}**  \n" if self._note else ""
         title = plain_words(self._title or "Plan")
-        self.head.content = f"### {title}\n{facts(self.flight)}  \n{note}{state}"
+        self.head.content = f"### {title}\n{facts(self.flight)}  \n**{state}**"
 
     def _show_phase(self) -> None:
         phases, duration = self.flight.phases, self.flight.duration
         current = next((i for i, p in enumerate(phases) if self.time < p.end), len(phases) - 1)
         phase = phases[current]
-        for i, button in enumerate(self.phases.buttons[: len(phases)]):
+        for i, button in enumerate(self.phases):
             if button.color != (colour := CURRENT_COLOUR if i == current else IDLE_COLOUR):
                 button.color = colour
         state = "" if phase.state is CableState.NONE else f" ({phase.state})"
@@ -329,22 +317,11 @@ class LiveView:
         remark = plain_words(phase.remark)
         self.now.content = f"{line}  \n{remark}" if remark else line
 
-    def _show_checks(self) -> None:
-        checks = self.certificate.checks if self.certificate else ()
-        colours = [IDLE_COLOUR if check.holds else "red" for check in checks]
-        self.checks.show([_check_label(check) for check in checks], colours)
-
-    def _show_plots(self) -> None:
-        """Show the report's plots once the plan is certified."""
-        if self.certificate is None:
-            self.values.content = ""
-            return
+    def _show_plots(self, certificate: Certificate) -> None:
+        """Show the report's plots."""
         from hitchopt.view.report import plots_of  # imports matplotlib, which is slow
 
-        for element, _ in self._plots:
-            element.remove()
-        self._plots.clear()
-        for plot in plots_of(self.flight, self.certificate):
+        for plot in plots_of(self.flight, certificate):
             t = np.array(plot["t"])
             columns = [t]
             series = list[dict[str, Any]]([{"label": "t [s]"}])
@@ -364,7 +341,6 @@ class LiveView:
                     scales=scales, height=PLOT_HEIGHT, legend={"show": True},
                 )  # fmt: skip
             self._plots.append((element, plot))
-        self._cursor = math.nan
 
     def _move_cursor(self) -> None:
         """Move the cursors of all plots to the current time, and write the values there."""
@@ -382,22 +358,16 @@ class LiveView:
                 element.data = (*element.data[:-1], _cursor_line(t, self.time, plot["top"]))
             self.values.content = "  \n".join(lines)
 
-    def _show_phase_at(self, index: int) -> None:
-        with self._lock:
-            for phase in self.flight.phases[index : index + 1]:  # empty if the plan has changed
-                self.seek(phase.start)
-
     def _show_check(self, index: int) -> None:
         """Show the worst time of a check, and highlight its drones, cables and vertices."""
+        check = known(self.certificate).checks[index]
         with self._lock:
-            checks = self.certificate.checks if self.certificate else ()
-            for check in checks[index : index + 1]:  # empty if the plan has changed
-                self.play(on=False)
-                self.live.highlight(highlight_of(self.flight, check.where))
-                where = f": {', '.join(check.where)}" if check.where else ""
-                self.shown_check.content = f"{check.name}{where} at {check.time:.2f} s"
-                self.shown_check.visible = True
-                self.seek(check.time)
+            self.play(on=False)
+            self.live.highlight(highlight_of(self.flight, check.where))
+            where = f": {', '.join(check.where)}" if check.where else ""
+            self.shown_check.content = f"{check.name}{where} at {check.time:.2f} s"
+            self.shown_check.visible = True
+            self.seek(check.time)
 
     def _switch(self, name: str, *, on: bool) -> None:
         with self._lock:
@@ -407,32 +377,6 @@ class LiveView:
         with self._lock:
             self.live.highlight(Highlight())
             self.shown_check.visible = False
-
-
-class Buttons:
-    """A column of buttons in a tab; buttons are reused or hidden, never removed.
-
-    Slow pages would report updates of removed buttons as errors. ``on_click`` is called with the
-    index of a button.
-    """
-
-    def __init__(self, gui: Any, tab: Any, on_click: Callable[[int], None]) -> None:
-        self._gui, self._tab, self._on_click = gui, tab, on_click
-        self.buttons: list[Any] = []
-
-    def show(self, labels: Sequence[str], colours: Sequence[str]) -> None:
-        """Show a button with a colour for each label."""
-        for i, (label, colour) in enumerate(zip(labels, colours, strict=True)):
-            if i == len(self.buttons):
-                with self._tab:
-                    self.buttons.append(self._gui.add_button(label, color=colour))
-                self.buttons[i].on_click(lambda _, i=i: self._on_click(i))
-            button = self.buttons[i]
-            button.label = label
-            button.color = colour
-            button.visible = True
-        for button in self.buttons[len(labels) :]:
-            button.visible = False
 
 
 def _cursor_line(t: Array, time: float, top: float) -> Array:

@@ -16,8 +16,8 @@ from hitchopt.view.style import MARK_COLOUR, rgb
 Server = Any  # A viser server; viser is an optional dependency
 ARROW_SCALE = 0.2  # Length of an arrow of 1 N [m]
 MAX_NAMED = 40  # Maximum number of drones with names at first: more names hide the scene
-PALE_COLOUR = "#969ca2"  # Colour of a ghost and of an old plan's cables
-PALE_OPACITY = 0.4  # Opacity of a ghost's and an old plan's drones and objects
+PALE_COLOUR = "#969ca2"  # Colour of a ghost
+PALE_OPACITY = 0.4  # Opacity of a ghost's drones and objects
 TRAIL_DURATION = 5.0  # Duration of a trail [s]
 TRAIL_CORNERS = 41  # Number of corners of a trail
 # Maximum number of segments of all trails, for browsers with software rendering
@@ -44,7 +44,6 @@ class LiveScene:
         self._name = name
         self._ghost = ghost
         self._highlight = Highlight()
-        self._faded = False
         self._time = 0.0
         self._moment = scene.at(0.0)
         few = scene.drones.shape[1] <= MAX_NAMED
@@ -72,10 +71,6 @@ class LiveScene:
         self._time, self._moment = time, self.scene.at(time)
         self._draw()
 
-    def remove(self) -> None:
-        """Remove it from the browser's scene."""
-        self._api.remove_by_name(self._name.rstrip("/"))
-
     def switch(self, name: str, *, on: bool) -> None:
         """Show or hide trails, ellipsoids, forces, thrusts or names."""
         self.visible[name] = on
@@ -84,19 +79,7 @@ class LiveScene:
     def highlight(self, parts: Highlight) -> None:
         """Highlight drones, cables and vertices."""
         self._highlight = parts
-        self._paint()
-
-    def fade(self, *, on: bool) -> None:
-        """Draw drones and cables pale and without trails, or normally."""
-        if on != self._faded:
-            self._faded = on
-            self._paint()
-
-    def _paint(self) -> None:
-        """Update all colours."""
-        for solid in (*self._drones, *self._objects):
-            solid.opacity = PALE_OPACITY if self._faded else None
-        colours = [PALE_COLOUR if self._faded else colour for colour in self._cable_colours]
+        colours = [*self._cable_colours]
         for k in self._highlight.cables:
             colours[k] = MARK_COLOUR
         if colours:
@@ -117,7 +100,7 @@ class LiveScene:
             solid.wxyz = pose[3:] / np.linalg.norm(pose[3:])
         if self._ghost:
             return
-        self._trails.visible = visible["trails"] and not self._faded
+        self._trails.visible = visible["trails"]
         if self._trails.visible:
             self._trails.points = self._trail()
         self._shells.visible = visible["downwash ellipsoids"]

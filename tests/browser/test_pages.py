@@ -1,4 +1,4 @@
-"""Report, live view and editing in a headless Chromium: what is seen, and what clicks do."""
+"""Report and live view in a headless Chromium: what is seen, and what clicks do."""
 
 from __future__ import annotations
 
@@ -18,11 +18,8 @@ from matplotlib.image import imread
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
-from hitchopt.mission.teams import CertifiedFlight
 from hitchopt.values import Array
-from hitchopt.view.editing import Editing, PlanState
-from hitchopt.view.live import LiveView, open_server
-from hitchopt.view.panel import ARROW_LENGTH, EditingPanel
+from hitchopt.view.live import LiveView
 from hitchopt.view.scene import Highlight
 
 SETTLE = 1500  # Least time for which a page draws what it was sent [ms]; software draws slowly
@@ -30,16 +27,6 @@ SETTLE = 1500  # Least time for which a page draws what it was sent [ms]; softwa
 SHARP = "/?fixedDpr=1"
 NEAR = 5.0  # Largest distance of a drawn drone to its place in the plan [pixels]
 NOTHING = "{drones: [], cables: [], vertices: []}"
-
-TEXT = """\
-# A triangle off the origin.
-team: {robots: 3, cable_length: 2.4}
-start:
-  hitch: {polygon: [[1.0, -0.5], [0.6, 1.0], [1.4, 1.0]], altitude: 1.2}
-mission:
-  - morph: {polygon: [[1.0, -0.3], [0.6, 1.0], [1.4, 1.0]]}  # one vertex
-  - hold: {seconds: 1.0}
-"""
 
 
 @cache
@@ -132,11 +119,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         yield page
 
 
-def planned(page: Any, editing: Editing) -> None:
-    """Wait until the newest text is planned."""
-    waited(page, lambda: editing.status.stage is PlanState.CURRENT)
-
-
 @pytest.fixture(scope="module")
 def live() -> Iterator[LiveView]:
     view = tied_plan().view(browser=False, port=8231)
@@ -149,27 +131,6 @@ def live() -> Iterator[LiveView]:
 def page(live: LiveView) -> Iterator[Any]:
     with opened_page() as page:
         opened(page, live.url, "certified for all t")
-        yield page
-
-
-@pytest.fixture(scope="module")
-def panel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditingPanel]:
-    path: Path = tmp_path_factory.mktemp("edited") / "problem.yaml"
-    path.write_text(TEXT)
-    plan = ho.solve(path)
-    live = LiveView(open_server(), plan.flight, plan.certificate)
-    editing = Editing(TEXT, path, CertifiedFlight(plan.flight, plan.certificate))
-    yield EditingPanel(live, editing)
-    editing.close()
-    live.close()
-
-
-@pytest.fixture(scope="class")  # one page at a time
-def edited(panel: EditingPanel) -> Iterator[Any]:
-    with opened_page() as page:
-        opened(page, panel.live.url, "certified for all t")
-        page.get_by_role("tab", name="Edit").click()
-        page.get_by_text("the plan of this problem").wait_for()
         yield page
 
 
@@ -349,7 +310,7 @@ class TestLiveView:
         page.get_by_role("button", name="no highlight").click()
         waited(page, lambda: not live.shown_check.visible)
 
-    def test_a_live_view_plays_and_an_old_plan_is_pale(self, page: Any, live: LiveView) -> None:
+    def test_a_live_view_plays(self, page: Any, live: LiveView) -> None:
         live.seek(0.0)
         page.get_by_role("button", name="Play").click()
         waited(page, lambda: live.time > 0.3)
@@ -359,16 +320,6 @@ class TestLiveView:
             page.keyboard.press("Space")
             waited(page, lambda playing=playing: live.playing is playing)  # type: ignore[misc]
         assert page.locator("canvas").first.bounding_box()["width"] >= 1200 - 385
-        live.live.highlight(Highlight())
-        live.seek(0.6 * tied_plan().duration)
-        box = page.locator("canvas").first.bounding_box()
-        settled(page)
-        before = coloured(page, box)
-        for words, low, high in (("an OLD plan", 0.0, 0.5), ("", 0.95, 1.05)):
-            live.note(words)
-            settled(page)
-            assert low * before <= coloured(page, box) <= high * before
-            assert page.get_by_text("an OLD plan").is_visible() is bool(words)
 
     def test_a_narrow_page_shows_the_scene_with_its_tabs_folded(
         self, page: Any, live: LiveView
@@ -389,66 +340,6 @@ class TestLiveView:
         page.get_by_text(f"{tied_plan().phases[1].name}: ").wait_for()
         page.set_viewport_size({"width": 1200, "height": 800})
         opened(page, live.url, "certified for all t")
-
-
-class TestEditing:
-    """Editing by hand."""
-
-    def test_a_typed_number_is_planned_undone_and_saved(
-        self, edited: Any, panel: EditingPanel
-    ) -> None:
-        editing, page = panel.editing, edited
-        panel.choose(1)
-        settled(page)
-        page.locator("input.mantine-TextInput-input[value='1.0']").fill("1.5")
-        settled(page)
-        page.get_by_role("button", name="Plan with these values").click()
-        waited(page, lambda: "1.5" in editing.text)
-        planned(page, editing)
-        page.get_by_text("not saved").wait_for()
-        page.get_by_text("Save", exact=True).click()
-        waited(page, lambda: editing.path.read_text() == TEXT.replace("1.0}\n", "1.5}\n"))
-        page.get_by_text("Undo", exact=True).click()
-        waited(page, lambda: editing.text == TEXT)
-        planned(page, editing)
-
-    def test_a_vertex_is_dragged(self, edited: Any, panel: EditingPanel) -> None:
-        panel.choose(0, "vertex 0")
-        settled(edited)
-        box = edited.locator("canvas").first.bounding_box()
-
-        def seen(x: float) -> Any:
-            return seen_at(edited, panel.live, [x + 0.6 * ARROW_LENGTH, -0.3, 1.2]) + [
-                box["x"],
-                box["y"],
-            ]
-
-        edited.mouse.move(*seen(1.0))
-        edited.mouse.down()
-        edited.mouse.move(*seen(1.05), steps=8)
-        settled(edited)
-        edited.mouse.up()
-        waited(edited, lambda: panel.editing.text != TEXT)
-        planned(edited, panel.editing)
-        vertices = panel.editing.problem.mission[0].polygon.vertices
-        np.testing.assert_allclose(vertices[0], [1.05, -0.3], atol=0.02)
-        assert panel.editing.planned.certificate.certified
-
-    def test_changes_in_quick_succession_are_shown_in_one_panel(
-        self, edited: Any, panel: EditingPanel
-    ) -> None:
-        """Pages report updates of what is gone as errors, which the fixture refuses."""
-        editing = panel.editing
-        first = editing.text
-        for k in range(6):
-            editing.drag(0, "vertex 1", np.array([0.6 - 0.01 * k, 1.0, 1.2]))
-            editing.wait(0.3 * (k % 2))
-        assert editing.text != first
-        planned(edited, editing)
-        edited.get_by_text("the plan of this problem").wait_for()
-        settled(edited)
-        (head,) = edited.get_by_text("certified for all t").all()
-        assert head.is_visible()
 
 
 def test_the_command_serves_a_plan_and_its_certificate(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -19,7 +18,6 @@ from hitchopt.storage.yaml_file import (
     read_yaml,
     split_key,
     value_at,
-    with_entries,
     with_value,
 )
 from tests.helpers.plans import PROBLEMS
@@ -171,8 +169,6 @@ mission:
 # The end.
 """
 
-MISSION = ("mission",)
-
 
 @pytest.mark.parametrize(
     ("key", "value", "line"),
@@ -204,39 +200,6 @@ def test_the_same_value_leaves_the_text_and_what_is_not_there_is_refused() -> No
         with_value(TEXT, ("mission", 7, "hold"), {})
     with pytest.raises(FileError, match="not YAML"):
         with_value("a: [", ("a",), 1)
-
-
-def test_steps_go_with_the_comments_above_them() -> None:
-    moved = with_entries(TEXT, MISSION, [1, 0, 2])
-    assert "mission:\n  # stay\n  - hold: {seconds: 1.0}\n  # go\n  - morph: {pol" in moved
-    assert with_entries(moved, MISSION, [1, 0, 2]) == TEXT
-    removed = with_entries(TEXT, MISSION, [0, 2])
-    assert "stay" not in removed
-    assert removed.endswith("      blend: false\n\n# The end.\n")
-    added = with_entries(TEXT, MISSION, [0, 1, 2, {"hold": {"seconds": 0.5}}])
-    assert "      blend: false\n  - hold: {seconds: 0.5}\n\n# The end." in added
-    assert with_entries(added, MISSION, range(3)) == TEXT
-
-
-@given(st.permutations(range(3)), st.sampled_from(["\n", "\r\n"]), st.booleans())
-def test_the_file_holds_what_was_done(order: list[int], line: str, brackets: bool) -> None:
-    text = "a: [{b: 1}, {c: 2}, {d: 3}]" if brackets else TEXT.replace("\n", line).rstrip()
-    path = ("a",) if brackets else MISSION
-    land: Any = {"land": {}}
-    steps = value_at(parse_yaml(text), path)
-    moved = with_entries(text, path, order)
-    assert with_entries(moved, path, [order.index(i) for i in range(3)]) == text
-    empty = with_entries(text, path, [])
-    added = with_entries(text, path, [order[0], land, *order[1:]])
-    for changed, expected in (
-        (moved, [steps[i] for i in order]),
-        (with_entries(text, path, order[:2]), [steps[i] for i in order[:2]]),
-        (added, [steps[order[0]], land, *(steps[i] for i in order[1:])]),
-        (empty, []),
-        (with_entries(empty, path, [land]), [land]),
-    ):
-        assert value_at(parse_yaml(changed), path) == expected
-    assert brackets or ("\r\n" in added) is (line == "\r\n")
 
 
 def overhanging(text: str) -> list[int]:

@@ -23,12 +23,13 @@ from websockets.sync.client import connect
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.values import Array
-from hitchopt.view.live import ASPECT, Buttons, LiveView, open_server
+from hitchopt.view.live import ASPECT, LiveView, open_server
 from hitchopt.view.live_scene import TRAIL_DURATION
 from hitchopt.view.own_pages import is_own_page
 from hitchopt.view.report import plots_of, write_report
 from hitchopt.view.scene import scene_of
 from tests.helpers.pictured import made_certificate, make_motion
+from tests.helpers.plans import PROBLEMS
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def test_drones_and_cables_are_sent_where_the_plan_has_them(live: LiveView, time
     np.testing.assert_allclose(trails[:, 0, 0], begin, atol=0.05)
     np.testing.assert_allclose(trails[:, -1, 1], drones, atol=2e-3)
     np.testing.assert_array_equal(trails[:, 1:, 0], trails[:, :-1, 1])
-    now = [button.color == "blue" for button in live.phases.buttons]
+    now = [button.color == "blue" for button in live.phases]
     assert now == [
         phase.start <= time < phase.end or phase.end == time for phase in live.flight.phases
     ]
@@ -120,12 +121,14 @@ def test_the_camera_sees_all_paths_from_near() -> None:
     assert 0.8 < np.max(shares) < 0.9
 
 
-def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -> None:
+def test_a_certificate_that_is_late_is_shown_with_its_plots() -> None:
     view = LiveView(open_server(), ho.Flight.of(make_motion(3)), None)
     assert "being certified" in view.head.content
     view.show_certificate(made_certificate())
     assert "certified for all t" in view.head.content
-    assert len(labels(view.checks)) == len(made_certificate().checks)
+    assert len(view.checks) == len(made_certificate().checks)
+    assert [button.label.split(":")[0] for button in view.phases] == ["morph", "hold"]
+    assert view.scrub.max >= view.flight.duration
     plots = list(plots_of(view.flight, made_certificate()))
     elements = [each for each, _ in view._plots]
     assert [each.title for each in elements] == [p["label"].replace("\n", " ") for p in plots]
@@ -139,22 +142,21 @@ def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -
     for each in elements:
         before, after = each.data[0][np.isfinite(each.data[-1])]
         assert before <= time <= after
-    view.live.switch("thrusts", on=True)
     view.play(on=True)
-    head = view.head
-    view.show_plan(ho.Flight.of(make_motion(4)), None, "another")
-    assert view.head is head
-    assert "another" in head.content
-    assert not view.values.content
-    assert view.live.visible["thrusts"]
-    assert (view.player.label, labels(view.checks)) == ("Pause", [])
-    assert [label.split(":")[0] for label in labels(view.phases)] == ["morph", "hold"]
-    assert view.scrub.max >= view.flight.duration
+    assert view.player.label == "Pause"
     view.close()
 
 
-def labels(buttons: Buttons) -> list[str]:
-    return [button.label for button in buttons.buttons if button.visible]
+def test_a_problem_file_is_planned_and_shown_or_refused(tmp_path: Path) -> None:
+    text = (PROBLEMS / "move_vertex.yaml").read_text()
+    file, page = tmp_path / "problem.yaml", tmp_path / "plan.html"
+    command = ["view", str(file), "--save", str(page)]
+    file.write_text(f"{text}\nlimits: {{tension: 0.1}}\n")
+    result = CliRunner().invoke(main, command)
+    assert (result.exit_code, page.exists()) == (2, False)
+    file.write_text(text)
+    assert CliRunner().invoke(main, command).exit_code == 0
+    assert text.splitlines()[0] in page.read_text()
 
 
 def unpacked(entries: list[dict[str, Any]], text: str, times: int) -> dict[str, Array]:
