@@ -11,6 +11,7 @@ import struct
 import zipfile
 from collections.abc import Callable
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from hitchopt.exports.formats.skybrush import MAX_SCALE, read_show, storage_scal
 from hitchopt.exports.lint import Report, Rules, lint
 from hitchopt.exports.options import HOMES
 from hitchopt.hitch.requirements import Separation
+from hitchopt.trajectory import PiecewisePolynomial
 from tests.helpers.exported_plans import exported, swarm_of, swarm_plan
 from tests.helpers.refusals import memory_below
 
@@ -391,6 +393,33 @@ def test_jumps_between_windows_are_found(tmp_path: Path) -> None:
     found = report(tmp_path)
     assert found.flight.jumps[0] == pytest.approx(0.1, rel=1e-5)
     assert "0.1 m where pieces join at t = 2000 s" in str(found.findings)
+
+
+@pytest.mark.parametrize("pieces", range(1, 14))
+def test_windows_are_the_whole_flight(pieces: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of curves with breaks of their own and of samples, of any number of pieces."""
+    monkeypatch.setattr(contents, "WINDOW", 8)
+    rng = np.random.default_rng(pieces)
+    t = np.cumsum(rng.uniform(0.1, 0.4, pieces + 1)) - 0.05
+    places = rng.normal(size=(2, pieces + 1, 3))
+    curves = [
+        PiecewisePolynomial(t + 0.03 * k, np.stack([each[:-1], each[1:]], axis=-1))
+        for k, each in enumerate(places)
+    ]
+    drones = [contents.Trajectory(f"d{k}", curve) for k, curve in enumerate(curves)]
+    samples = contents.FileContents.of_samples(("d0", "d1"), t, np.swapaxes(places, 0, 1), "", 0)
+    for found, own in (
+        (contents.FileContents.of_curves(drones[:1], "enu", 0), curves[:1]),
+        (samples, [curves[0], curves[0].replaced(curves[1].coefficients)]),
+    ):
+        windows = list(found.windows())
+        assert all(window.pieces * len(own) <= 8 for window in windows)
+        assert all(x.breaks[-1] == y.breaks[0] for x, y in pairwise(windows))
+        assert sum(window.pieces for window in windows) == pieces
+        for window in windows:
+            middles = 0.5 * (window.breaks[1:] + window.breaks[:-1])
+            expected = np.stack([curve.at(middles) for curve in own], axis=1)
+            np.testing.assert_allclose(window.at(middles), expected, atol=1e-12)
 
 
 def test_figures_and_places_of_findings(tmp_path: Path) -> None:
