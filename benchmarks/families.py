@@ -10,7 +10,8 @@ that ``fit`` states, and at most, or 1.05 times, the mass that it states; ``morp
 and ``tube``, such morphs past a post, past pillars and walls, past another team that stays or
 crosses, and with tracking errors; ``many``, of 20 and 24 robots; ``chain``, of two cables;
 ``curves``, letters and closed curves that a vertex writes; ``timed``, such curves with the times of
-their points; ``blends``, steps in a row without a stop; ``box``, ``door`` and ``corridor``, single
+their points; ``blends``, steps in a row without a stop; ``timed_blends``, steps of all kinds, some
+of which blend or have durations; ``box``, ``door`` and ``corridor``, single
 drones in tight boxes, through doors and past each other. Both ends of every problem are certified
 at rest before it is planned, those of ``carry`` are drawn by geometry alone, and none is left out
 afterwards.
@@ -43,7 +44,12 @@ from problems.random_morph import (
     wild_morph,
     wild_polygon,
 )
-from problems.random_steps import random_blend, random_curve, random_timed_curve
+from problems.random_steps import (
+    random_blend,
+    random_curve,
+    random_timed_blend,
+    random_timed_curve,
+)
 from problems.swarm import random_box, random_corridor, random_door
 
 LIMITATIONS = (
@@ -731,6 +737,7 @@ FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "curves": random_curve,
     "timed": random_timed_curve,
     "blends": random_blend,
+    "timed_blends": random_timed_blend,
     "box": random_box,
     "door": random_door,
     "corridor": random_corridor,

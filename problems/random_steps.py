@@ -1,6 +1,6 @@
 """Random problems beyond single morphs: a vertex writes, with times or without, and steps blend.
 
-Usage: python -m problems.random_steps curves|timed|blends SEED > problem.yaml
+Usage: python -m problems.random_steps curves|timed|blends|timed_blends SEED > problem.yaml
 """
 
 from __future__ import annotations
@@ -130,6 +130,19 @@ MAX_MOVE = 0.35
 """Largest displacement of a vertex along either axis [m]."""
 
 
+TIMED_SHARE = 0.4
+"""Share of steps with a duration."""
+
+STANDING = 0.02
+"""Duration below which a step moves nothing [s]."""
+
+BLENDED_SHARE = 0.75
+"""Share of steps that blend."""
+
+SLOWDOWN = (1.0, 3.0)
+"""Durations over those of steps without one, minimum and maximum."""
+
+
 def random_blend(seed: int) -> dict[str, Any]:
     """Return a problem whose steps blend, and are certified with stops in between."""
     n = ROBOTS[seed % len(ROBOTS)]
@@ -160,6 +173,55 @@ def random_blend(seed: int) -> dict[str, Any]:
                 for item in mission[:-1]
             ]
             return {**problem, "mission": [*blended, mission[-1]]}
+
+
+def random_timed_blend(seed: int) -> dict[str, Any]:
+    """Return a problem of which some steps blend and some have durations, certified with stops."""
+    n = ROBOTS[seed % len(ROBOTS)]
+    rng = np.random.default_rng([n, seed, 10])
+    while True:
+        hitch, team = _random_hitch(n, rng)
+        steps = [_random_kind(n, hitch, rng) for _ in range(rng.integers(*BLENDED_STEPS) + 1)]
+        problem = {
+            "title": f"Timed blends, n = {n}, seed {seed}",
+            "team": team,
+            "start": {"hitch": hitch},
+            "mission": [{name: keys} for name, keys in steps],
+        }
+        try:
+            phases = ho.solve(ho.problem_from_dict(problem)).motion.phases
+        except HitchoptError:
+            continue
+        for index, (_, keys) in enumerate(steps):
+            flown = sum(phase.end - phase.start for phase in phases if phase.step == index)
+            if flown < STANDING:
+                break
+            if rng.random() < TIMED_SHARE:
+                keys["duration"] = round(flown * rng.uniform(*SLOWDOWN) + 0.005, 2)
+            if index < len(steps) - 1 and rng.random() < BLENDED_SHARE:
+                keys["blend"] = True
+        else:
+            return problem
+
+
+def _random_kind(
+    n: int, hitch: dict[str, Any], rng: np.random.Generator
+) -> tuple[str, dict[str, Any]]:
+    """Return the name of a random step of any kind that blends, and its keys."""
+    corners = np.array(hitch["polygon"])
+    item = int(rng.integers(n))
+    by = np.round(rng.uniform(-MAX_MOVE, MAX_MOVE, 2), 3).tolist()
+    goal = wild_polygon(n, np.mean(np.ptp(corners, axis=0)) * rng.uniform(0.3, 0.6), rng)
+    to = [*np.round(rng.uniform(-1.0, 1.0, 2), 3).tolist(), ALTITUDE]
+    kinds: dict[str, dict[str, Any]] = {
+        "morph": {"polygon": np.round(goal.vertices, 3).tolist()},
+        "move_vertex": {"vertex": item, "by": by},
+        "move_edge": {"edge": item, "by": by},
+        "adjust": {"legs": str(rng.choice(["balanced", "spread"]))},
+        "transport": {"to": to, "yaw_deg": round(float(rng.uniform(-90.0, 90.0)), 1)},
+    }
+    name = str(rng.choice(list(kinds)))
+    return name, kinds[name]
 
 
 def _random_hitch(
@@ -241,7 +303,12 @@ def _curve(rng: np.random.Generator) -> tuple[str, Array]:
     return name, rng.uniform(*CURVE_SIZE) / np.max(np.ptp(points, axis=0)) * points @ turn.T
 
 
-FAMILIES = {"curves": random_curve, "timed": random_timed_curve, "blends": random_blend}
+FAMILIES = {
+    "curves": random_curve,
+    "timed": random_timed_curve,
+    "blends": random_blend,
+    "timed_blends": random_timed_blend,
+}
 
 if __name__ == "__main__":
     yaml = YAML()  # keeps the keys in their order

@@ -29,6 +29,7 @@ from problems.random_morph import is_certified
         "carry",
         pytest.param("curves", marks=pytest.mark.slow),
         pytest.param("blends", marks=pytest.mark.slow),
+        pytest.param("timed_blends", marks=pytest.mark.slow),
         "corridor",
     ],
 )

@@ -13,19 +13,21 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Phase
-from hitchopt.planners.along import MAX_ROLLING, past_obstacles
+from hitchopt.planners.along import past_obstacles
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.morph.legs import largest_roll, rolling_paths
-from hitchopt.planners.morph.morph import BlendedMorph
+from hitchopt.planners.morph.morph import BlendedMorph, check_distances
 from hitchopt.planners.path import Path
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
+from hitchopt.planners.timing.timed_motion import motion_in_parts
 
-MAX_ROLLING_RATIO = 1.05
-"""Largest duration of blended steps whose legs roll, over that of the steps with stops."""
-
-BLEND_SHAPES = (2, 6, 14)
+BLEND_SHAPES = (0, 2, 6, 14)
 """Numbers of shapes of each step's own route through which a flight without stops is led."""
+
+ROLLING_SHAPES = 2  # Such a number where legs roll
+MAX_ROLLING = 2  # Maximum number of paths with legs that roll that are timed, the fastest first
+TIME_TOLERANCE = 1e-6  # [s] Difference of durations below which they are equal
 
 
 class PassedStep(NamedTuple):
@@ -35,6 +37,7 @@ class PassedStep(NamedTuple):
     # Returns hitches that the flight passes in the step: about a number of them, and the end
     hitches: Callable[[int], list[Hitch]]
     duration: float | None  # Least duration of its share of the flight [s], or None
+    stopping: StepPlan | None  # Its certified plan from rest to rest; None if there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,81 +45,76 @@ class BlendedSteps:
     """Steps that are flown without a stop in between.
 
     One path leads through the hitches of all of them and is timed as a whole; the phase of each
-    step, with its name, ends as the path passes its last hitch. The whole flight is slowed down
-    until no step is shorter than its duration. Where that path is infeasible, others lead through
-    shapes of the routes on which the steps stop; then legs roll on these paths.
+    step, with its name, ends as the path passes its last hitch, and is no shorter than the step's
+    duration. Where the path through the ends of the steps is infeasible, others lead through shapes
+    of the routes on which the steps stop; then legs roll on such a path. A flight that is not
+    faster than the steps with stops is infeasible.
     """
 
     task: StepTask  # The task of the first step
     steps: Sequence[PassedStep]  # The steps
-    # Returns the certified plans of the steps that stop, or raises InfeasibleError
-    stopped: Callable[[], Sequence[StepPlan]]
     free_legs: bool = False  # Whether the hitches between the steps may have other legs and roll
 
     def plan(self) -> StepPlan:
         """Return the first certified plan."""
+        self._check_duration(sum(step.duration or 0.0 for step in self.steps))
         return first_certified(self.candidates(), self.task.effort, self.task.progress)
 
     def candidates(self) -> Iterator[Candidate[StepPlan]]:
-        """Yield the paths; raise InfeasibleError if a step that stops is infeasible itself."""
-        ends = [step.hitches(0) for step in self.steps]
-        yield Candidate("path through the ends", partial(self._through, ends))
-        routes = self.stopped()
-        for rolls in (False, True) if self.free_legs else (False,):
-            for count in BLEND_SHAPES:
-                yield Candidate(
-                    "blended path", partial(self._through_shapes, routes, count, rolls=rolls)
-                )
+        """Yield the paths."""
+        for count in BLEND_SHAPES:
+            yield Candidate("blended path", partial(self._through_shapes, count))
+        if self.free_legs:
+            yield Candidate("rolling path", self._with_rolling_legs)
 
-    def _through_shapes(self, routes: Sequence[StepPlan], count: int, *, rolls: bool) -> StepPlan:
-        """Return the plan through a number of shapes of each route, and its end."""
-        hitches = list[list[Hitch]]()
-        for step, route in zip(self.steps, routes, strict=True):
-            if route.path is None:
-                hitches.append(step.hitches(count))
-            else:
-                hitches.append([*hitches_along(route.path, count), route.after.tied])
-        plan = self._through(hitches, rolls=rolls)
-        longest = MAX_ROLLING_RATIO * sum(route.motion.duration for route in routes)
-        duration = plan.motion.duration
-        if rolls and duration > longest:
+    def _check_duration(self, duration: float) -> None:
+        """Raise InfeasibleError if a flight's duration [s] is not below that with stops."""
+        stopping = [step.stopping for step in self.steps if step.stopping is not None]
+        if len(stopping) < len(self.steps):
+            return
+        with_stops = sum(plan.motion.duration for plan in stopping)
+        if duration >= with_stops - TIME_TOLERANCE:
             remedy = "stop between the steps"
             raise InfeasibleError(
-                [Violation("duration", duration, longest, "max", "s", (), "", remedy)]
+                [Violation("duration", duration, with_stops, "max", "s", (), "", remedy)]
             )
-        return plan
 
-    def _through(self, hitches: Sequence[Sequence[Hitch]], *, rolls: bool = False) -> StepPlan:
-        """Return the certified plan through the hitches of each step, the last one its end."""
-        requirements = self.task.requirements
-        passed = [hitch for of_step in hitches for hitch in of_step]
-        morph = BlendedMorph([self.task.hitch, *passed], requirements)
-        last = np.cumsum([len(of_step) for of_step in hitches])[:-1] - 1
+    def _through_shapes(self, count: int) -> StepPlan:
+        """Return the certified plan through a number of shapes of each route, and its end."""
+        morph = self._morph(count)
+        along = partial(self._along, morph)
+        return past_obstacles(self.task, along(morph.path), morph.path, along)
 
-        def along(path: Path) -> StepPlan:
-            """Return the plan along a path."""
-            motion, times_within = morph.timed(path)
-            phases = self._phases([0.0, *times_within[last].tolist(), motion.duration])
-            durations = np.array([step.duration or 0.0 for step in self.steps])
-            flown = np.array([phase.end - phase.start for phase in phases])
-            factor = max(1.0, float(np.max(durations / flown)))  # no step is shorter than that
-            slowed = motion.replaced(phases=phases).slowed(factor)
-            plan = self.task.plan_ending(slowed, passed[-1])
-            return with_friction_feedforward(plan, timed=False)
+    def _with_rolling_legs(self) -> StepPlan:
+        """Return the certified plan along a path on which legs roll."""
+        morph = self._morph(ROLLING_SHAPES)
 
         def rolling(path: Path) -> StepPlan:
             """Return the certified plan along a path with legs that roll."""
             roll = math.degrees(largest_roll(path))
-            return require_certified(along(path)).with_remark(
-                f"legs roll by up to {roll:.0f}° on the way"
-            )
+            plan = require_certified(self._along(morph, path))
+            return plan.with_remark(f"legs roll by up to {roll:.0f}° on the way")
 
-        path = morph.path
-        if not rolls:
-            return past_obstacles(self.task, along(path), path, along)
-        paths = rolling_paths(path, requirements)[:MAX_ROLLING] or [path]
+        paths = rolling_paths(morph.path, self.task.requirements)[:MAX_ROLLING] or [morph.path]
         candidates = [Candidate("rolling path", partial(rolling, path)) for path in paths]
         return first_certified(candidates, self.task.effort, self.task.progress)
+
+    def _morph(self, count: int) -> BlendedMorph:
+        """Return the planner of the path through a number of shapes of each route, and its end."""
+        passed = [step.hitches(count) for step in self.steps]
+        return BlendedMorph(self.task.hitch, passed, self.task.requirements)
+
+    def _along(self, morph: BlendedMorph, path: Path) -> StepPlan:
+        """Return the plan along a path on which steps end as on that of a planner."""
+        task = self.task
+        check_distances(path, task.requirements)
+        durations = np.array([step.duration or 0.0 for step in self.steps])
+        motion, times = motion_in_parts(
+            path, task.requirements, morph.ends, durations, self._check_duration
+        )
+        phased = motion.replaced(phases=self._phases(times.tolist()))
+        plan = task.plan_ending(phased, morph.hitches[-1])
+        return with_friction_feedforward(plan, timed=False)
 
     def _phases(self, times: Sequence[float]) -> tuple[Phase, ...]:
         """Return the phases of the steps, which begin and end at times (steps + 1,) [s]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,15 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.quadratic_program import solve_qp
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.candidates import Effort
+from hitchopt.planners.candidates import Effort, error_of
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
-from hitchopt.planners.morph.morph import moves, straight_path
+from hitchopt.planners.morph.morph import (
+    CHECKED_AT_SAMPLES,
+    DISTANCE_TOLERANCE,
+    check_distances,
+    moves,
+    straight_path,
+)
 from hitchopt.planners.optimise import program
 from hitchopt.planners.optimise.guesses import polygon_guesses
 from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
@@ -27,6 +34,7 @@ from hitchopt.planners.optimise.times import acceleration_rows, speed_rows, step
 from hitchopt.planners.path import Path, shapes_along
 from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.values import Array
+from problems.random_morph import irregular_pairs
 
 FREE = Requirements()
 SQUARE = regular_polygon(4, 1.2, np.pi / 4)
@@ -317,3 +325,32 @@ def test_a_morph_without_a_route_names_the_best_one_tried() -> None:
     assert routes.accepted == []
     assert routes.rejected is not None
     assert routes.rejected.name.startswith("edges turned")
+
+
+@pytest.mark.parametrize("wide", [1.0, 1.6])
+def test_distances_at_samples_are_those_of_the_timed_motion(wide: float) -> None:
+    """What samples of a path refuse, the certificate of its motion refuses for the same reason."""
+    requirements = Requirements(
+        separation=ho.Separation(radius=0.12 * wide), arena=ho.Arena([-2, -2, 0], [2, 1.9, 3])
+    )
+    refused = list[str]()
+    for pair in irregular_pairs()[:12]:
+        team = Team(pair["n"], pair["cable_length"])
+        start, end = (Hitch.spread(team, pair[key]) for key in ("start", "goal"))
+        path = Path.straight(start, end)
+        motion = motion_along(path, requirements)
+        checks = [rule.check(motion) for rule in CHECKED_AT_SAMPLES]
+        shortfalls = {
+            check.name: check.limit - check.worst
+            for check in checks
+            if check is not None and check.limit is not None
+        }
+        found = error_of(partial(check_distances, path, requirements))
+        broken = () if found is None else tuple(each.constraint for each in found.violations)
+        for violation in () if found is None else found.violations:
+            shortfall = violation.limit - violation.value
+            assert shortfall > DISTANCE_TOLERANCE
+            assert shortfalls[violation.constraint] > shortfall - DISTANCE_TOLERANCE
+            assert "of the path" in violation.when
+        refused += broken
+    assert len(set(refused)) > 1

@@ -34,9 +34,11 @@ from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
 from hitchopt.planners.timing.stretch import further_stretch, needed_stretch
 from hitchopt.planners.timing.timed_motion import (
     MAX_PEAK,
+    PACE_TOLERANCE,
     TIMING_GRID,
     fastest_motion,
     motion_along,
+    motion_in_parts,
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values.fields import with_fields
@@ -311,3 +313,43 @@ def test_a_peak_of_jerk_between_samples_slows_its_piece_alone(index: int) -> Non
     path = ho.route(Hitch.spread(team, pair["start"], pair["altitude"]), pair["goal"])
     motion = fastest_motion(path, Requirements()).motion
     assert needed_stretch(motion) <= MAX_PEAK ** (1.0 / 3.0) + 5e-4
+
+
+def any_total(_: float) -> None:
+    """Accept every duration."""
+
+
+def test_parts_take_their_durations_and_do_not_slow_the_others() -> None:
+    path = Path.straight(*ends(5, 7, Limits()))
+    joints = np.array([0.0, 0.3, 0.75, 1.0])
+    requirements = Requirements()
+    none = np.zeros(3)
+    whole = motion_along(path, requirements)
+    free = motion_in_parts(path, requirements, joints, none, any_total)
+    assert free.motion.duration == pytest.approx(whole.duration, rel=2e-3)
+    flown = np.diff(free.times)
+    for durations in ([4.0 * flown[0], 0.0, 0.0], [0.0, 0.0, 3.0], 2.0 * flown, 0.9 * flown):
+        least = np.array(durations)
+        motion, times = motion_in_parts(path, requirements, joints, least, any_total)
+        assert needed_stretch(motion) <= 1.0 + 1e-9
+        assert times[-1] == pytest.approx(motion.duration, rel=1e-12)
+        np.testing.assert_allclose(motion.vertices.at(times), path.vertices.at(joints), atol=1e-6)
+        assert np.all(np.diff(times) >= least * (1.0 - 1e-12))
+        is_slow = least > flown
+        slow = np.diff(times)[is_slow]
+        assert np.all(slow <= least[is_slow] * (1.0 + 10.0 * PACE_TOLERANCE))
+        # From a part that is slower, others take up to a stop's ramps longer
+        ramps = 2.0 * requirements.limits.acceleration / requirements.limits.jerk
+        stops = np.sum(flown[~is_slow]) + np.count_nonzero(is_slow) * ramps
+        assert motion.duration <= np.sum(slow) + stops
+
+
+def test_totals_are_checked_before_a_motion_is_timed() -> None:
+    path = Path.straight(*ends(4, 2, Limits()))
+    totals = list[float]()
+    motion, _ = motion_in_parts(
+        path, Requirements(), np.array([0.0, 0.5, 1.0]), np.array([3.0, 0.0]), totals.append
+    )
+    estimate, duration = totals
+    assert duration == motion.duration
+    assert estimate == pytest.approx(duration, rel=0.05)

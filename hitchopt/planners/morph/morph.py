@@ -9,16 +9,21 @@ from functools import cached_property
 
 import numpy as np
 
+from hitchopt.checks.certificate import Certificate
+from hitchopt.checks.registry import distances_of
+from hitchopt.checks.spans import value_cache
+from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length, turn
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.model import drone_jets
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.path import FlatPath, LegLaw, Path, drones_along, shapes_along
 from hitchopt.planners.timing.profile import demands_along, hover_violation, path_grid
-from hitchopt.planners.timing.timed_motion import TIMING_GRID, motion_along
+from hitchopt.planners.timing.timed_motion import TIMING_GRID
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
@@ -150,6 +155,51 @@ def load_violation(path: FlatPath, limits: Limits, on_path: str = ON_PATH) -> Vi
     return hover_violation(path.team, limits, loads, when, remedies)
 
 
+CHECKED_AT_SAMPLES = distances_of("drones", "cables", "vertices", "ground", "walls")
+"""Checks of distances that neither another timing nor a detour around objects mends."""
+
+DISTANCE_SAMPLES = 65  # Number of points of a path at which they are evaluated
+
+DISTANCE_TOLERANCE = 1e-3
+"""Largest violation, in the unit of its check, that is left to the certificate: motions pass
+breakpoints of their paths exactly, and are less far from them in between."""
+
+
+def check_distances(path: FlatPath, requirements: Requirements) -> None:
+    """Raise InfeasibleError if a distance at samples of the path breaks its limit.
+
+    Paths are sampled before they are timed, since timing and certificate take fifty times longer.
+    The formulas are the certificate's, of a motion that rests at every sample.
+    """
+    samples = np.linspace(0.0, 1.0, DISTANCE_SAMPLES)
+    flat = path.flat(samples, 1)
+    drones = drone_jets(path.team, flat)
+    legs = drones.legs * path.team.layout.has_leg[..., None]
+    breaks = np.arange(DISTANCE_SAMPLES + 1.0)
+    resting = Motion(
+        path.team,
+        requirements,
+        drones=PiecewisePolynomial(breaks, drones.positions),
+        vertices=PiecewisePolynomial(breaks, flat.vertices),
+        legs=PiecewisePolynomial(breaks, legs),
+        tensions=PiecewisePolynomial(breaks, flat.tensions),
+        phases=(Phase("path", 0, 0.0, breaks[-1]),),
+    )
+    violations = list[Violation]()
+    for rule in CHECKED_AT_SAMPLES:
+        with value_cache():
+            check = rule.check(resting)
+        if check is None or check.limit is None:
+            continue
+        if check.limit - check.worst <= DISTANCE_TOLERANCE:
+            continue
+        place = samples[min(int(check.time), DISTANCE_SAMPLES - 1)]
+        of_check = Certificate(resting.duration, (check,))
+        violations += infeasible_error(of_check, resting, f"at {place:.0%} of the path").violations
+    if violations:
+        raise InfeasibleError(violations)
+
+
 MIN_SPEED_RATIO = 1e-6
 """Smallest speed of a path in its parameter over the mean, below which it cannot be timed."""
 
@@ -162,10 +212,16 @@ class BlendedMorph:
     minimise the third derivative. Their parameter is nearly the distance of the farthest drone.
     """
 
-    hitches: Sequence[Hitch]  # (J,): three or more, each different from the next
+    start: Hitch  # The hitch at the start
+    passed: Sequence[Sequence[Hitch]]  # Hitches of each step, each different from the next
     requirements: Requirements  # Limits of motion
 
-    @property
+    @cached_property
+    def hitches(self) -> list[Hitch]:
+        """All J hitches, three or more."""
+        return [self.start, *(hitch for of_step in self.passed for hitch in of_step)]
+
+    @cached_property
     def knots(self) -> Array:
         """(J,): path parameters of the hitches, from 0 to 1."""
         drones = np.stack([hitch.drones for hitch in self.hitches])
@@ -173,6 +229,12 @@ class BlendedMorph:
         s = np.append(0.0, np.cumsum(np.maximum(steps, POSITION_TOLERANCE)))
         knots: Array = s / s[-1]
         return knots
+
+    @property
+    def ends(self) -> Array:
+        """(steps + 1,): path parameters at which the steps start and end."""
+        last = np.cumsum([0, *(len(of_step) for of_step in self.passed)])
+        return np.asarray(self.knots[last])
 
     def _spline(self, values: Sequence[Array]) -> PiecewisePolynomial:
         """Return the natural quintic spline through values at the knots."""
@@ -188,7 +250,7 @@ class BlendedMorph:
         fractions = self._spline([hitch.fractions for hitch in self.hitches])
         roll = self._spline([hitch.roll for hitch in self.hitches])
         path = Path(
-            self.hitches[0].team,
+            self.start.team,
             vertices,
             LegLaw.of_fractions(fractions),
             roll=roll if np.any(roll.coefficients) else None,
@@ -206,26 +268,3 @@ class BlendedMorph:
             raise InfeasibleError([violation])
         check_loads(path, self.requirements.limits)
         return path
-
-    def timed(self, path: Path) -> tuple[Motion, Array]:
-        """Return the motion along ``path`` or a detour, and times (J - 2,) [s] at inner hitches.
-
-        Raises TimingError if no timing was found.
-        """
-        motion = motion_along(path, self.requirements)
-        # Path and flight agree at equal distances covered by vertices and fractions.
-        t = np.linspace(0.0, motion.duration, 2001)
-        s = np.linspace(0.0, 1.0, 2001)
-        legs = motion.legs.at(t)
-        by_s = _distance_share(path.vertices.at(s), path.legs.share.at(s))
-        by_t = _distance_share(motion.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
-        times: Array = np.interp(np.interp(self.knots[1:-1], s, by_s), by_t, t)
-        return motion, times
-
-
-def _distance_share(vertices: Array, fractions: Array) -> Array:
-    """Return the share (J,) of the distance covered so far in the space of all coordinates."""
-    rows = np.concatenate([vertices.reshape(len(vertices), -1), fractions], axis=1)
-    distance = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1)))
-    share: Array = distance / distance[-1]
-    return share

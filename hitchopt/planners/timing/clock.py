@@ -55,6 +55,9 @@ INTERIOR_SHARE = 0.97
 NODES, WEIGHTS = leggauss(SAMPLES)
 """Gauss nodes in [-1, 1] of the samples in a piece, and their weights."""
 
+INVERSION_SAMPLES = 1001  # Number of times between which those at path parameters are sought
+INVERSION_STEPS = 2  # Number of Newton's steps to these times
+
 TIME_SAMPLES = 8  # Number of samples per piece at which time is integrated
 
 TIME_NODES, TIME_WEIGHTS = leggauss(TIME_SAMPLES)
@@ -84,6 +87,15 @@ class Clock:
         root = np.sqrt(x)
         by_t = np.stack([np.zeros_like(x), root, 0.5 * x1, 0.5 * x2 * root], axis=-1)  # of τ
         return chained(self.progress.jet(self.knots, 4), by_t)
+
+    def times_at(self, s: Array) -> Array:
+        """Return the times t (J,) [s] at which the path is at s (J,), all between 0 and 1."""
+        progress = PiecewisePolynomial.through_jets(self.breaks, self.jets())
+        t = np.linspace(0.0, progress.duration, INVERSION_SAMPLES)
+        times = np.interp(s, progress.at(t), t)
+        for _ in range(INVERSION_STEPS):
+            times = times - (progress.at(times) - s) / progress.at(times, 1)
+        return times
 
 
 def inside(knots: Array, nodes: Array) -> Array:

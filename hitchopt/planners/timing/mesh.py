@@ -22,7 +22,9 @@ TIME_TOLERANCE = 1e-9  # Distance over the duration below which times are equal 
 ACTIVE_SHARE = 0.1  # Change of acceleration, over the largest one, above which pieces are short
 
 
-def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
+def time_mesh(
+    profile: SpeedProfile, ramp: float, refinement: int = 1, joints: Array | None = None
+) -> Array:
     """Return the knots (K + 1,) [s] for a profile smoothed over ``ramp`` [s].
 
     Parameters
@@ -30,6 +32,7 @@ def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
     profile: toppra's optimum.
     ramp: width of the moving average, which adds to the profile's duration.
     refinement: factor of the number of pieces.
+    joints: (k,), path parameters at which the speed changes, however little.
     """
     duration = profile.duration + ramp
     changes = [profile.times, profile.times + 0.5 * ramp, profile.times + ramp]
@@ -40,6 +43,8 @@ def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
     middle = 0.5 * (t[1:] + t[:-1])
     change = np.abs(profile.acceleration(middle) - profile.acceleration(middle - ramp))
     active = np.append(change > ACTIVE_SHARE * np.max(change), False)
+    for start in () if joints is None else np.interp(joints, profile.s, profile.times):
+        active |= (start <= t) & (t <= start + ramp)
     active[1:] |= active[:-1]
     longest = MAX_PIECE_SHARE * duration
     fine = max(ramp / PIECES_PER_RAMP, MIN_PIECE)

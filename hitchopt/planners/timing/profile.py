@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
+from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -75,6 +76,7 @@ class Demands:
     team: Team  # The team, with masses and largest thrusts
     limits: Limits  # Limits of motion
     share: float = LIMIT_SHARE  # Enforced fraction of the limits
+    slowness: Array | float = 0.0  # (J,) or a number [s]: smallest 1 / ṡ
 
     @classmethod
     def along(cls, path: FlatPath, limits: Limits, s: Array) -> Demands:
@@ -98,6 +100,7 @@ class Demands:
             self.team,
             self.limits,
             self.share,
+            np.broadcast_to(self.slowness, len(self.drones))[points],
         )
 
     @property
@@ -107,12 +110,13 @@ class Demands:
 
     @property
     def speed_bound(self) -> Array:
-        """(J,): largest ṡ² within the speed limits of drones and vertices."""
+        """(J,): largest ṡ² within the speed limits of drones and vertices, and the slowness."""
         fastest_drone = np.max(length(self.drones[..., 1]), axis=1)
         drone_ratio = fastest_drone / self.limits.speed
         vertex_ratio = self.vertex_speed / self.limits.vertex_speed
         largest_ratio = np.maximum(drone_ratio, vertex_ratio)
-        bound: Array = (self.share / np.maximum(largest_ratio, MIN_RATE)) ** 2
+        within_limits = self.share / np.maximum(largest_ratio, MIN_RATE)
+        bound: Array = np.minimum(within_limits, 1.0 / np.maximum(self.slowness, MIN_RATE)) ** 2
         return bound
 
     def ray_factors(self, u: Array, x: Array) -> Array:
@@ -307,9 +311,21 @@ def if_timed(query: Callable[[], T]) -> T | None:
         return None
 
 
-def path_grid(steps: int) -> Array:
-    """Return a grid (steps + 1,) from 0 to 1, finer at the ends, where speeds are low."""
-    return 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
+WHOLE = (0.0, 1.0)  # Ends of the only part of a path
+MIN_PART_STEPS = 12  # Smallest number of steps of a grid on one of several parts
+
+
+def path_grid(steps: int, ends: Sequence[float] = WHOLE) -> Array:
+    """Return a grid (J,) from 0 to 1, of ``steps`` in all, finer at the ``ends`` of all parts.
+
+    Speeds are low at the ends of the path, and change at those of its parts.
+    """
+    parts = list[Array]()
+    for start, end in pairwise(ends):
+        count = max(MIN_PART_STEPS, math.ceil(steps * (end - start)))
+        finer_at_ends = 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / count)
+        parts.append(start + (end - start) * finer_at_ends)
+    return np.append(np.concatenate(parts), ends[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,9 +478,11 @@ from rest to full speed."""
 
 
 @lru_cache(maxsize=3)
-def demands_along(path: FlatPath, limits: Limits, steps: int = ESTIMATE_GRID) -> Demands:
+def demands_along(
+    path: FlatPath, limits: Limits, steps: int = ESTIMATE_GRID, ends: tuple[float, ...] = WHOLE
+) -> Demands:
     """Return the demands of a path on a grid, cached for the last paths."""
-    return Demands.along(path, limits, path_grid(steps))
+    return Demands.along(path, limits, path_grid(steps, ends))
 
 
 @lru_cache(maxsize=16)

@@ -6,7 +6,9 @@ path's jets at every breakpoint are then slowed down until limits also hold betw
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +23,10 @@ from hitchopt.planners.path import FlatPath, Path, path_jets
 from hitchopt.planners.timing.clock import Clock, even_clock, first_clock, jerk_limited
 from hitchopt.planners.timing.mesh import time_mesh
 from hitchopt.planners.timing.profile import (
+    RAMP_SHARE,
+    WHOLE,
     Demands,
+    SpeedProfile,
     acceleration_ramp,
     demands_along,
     fastest_profile,
@@ -89,37 +94,38 @@ class ClockedMotion(NamedTuple):
     clock: Clock
 
 
-def fastest_motion(path: FlatPath, requirements: Requirements) -> ClockedMotion:
-    """Return the fastest motion along a path; between samples it may exceed limits.
-
-    Raises
-    ------
-    TimingError: no timing was found.
-    """
-    limits = clocked_limits(path, requirements)
-    demands = replace(demands_along(path, requirements.limits, TIMING_GRID), limits=limits)
-    profile = fastest_profile(path_grid(TIMING_GRID), demands)
-    ramp = max(acceleration_ramp(profile, demands), MIN_RAMP_SHARE * profile.duration)
-    refinement = 1
-    while True:
-        first = first_clock(profile, ramp, time_mesh(profile, ramp, refinement))
-        fastest = _clocked(path, requirements, limits, first)
-        motion = fastest.motion
-        if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
-            return _without_peaks(path, requirements, limits, first, fastest)
-        refinement *= 2
+PACE_TOLERANCE = 1e-3  # Relative difference of a part's duration from its smallest one
 
 
-def _clocked(
-    path: FlatPath,
-    requirements: Requirements,
-    limits: Limits,
-    first: Clock,
-    jerk_shares: Array | None = None,
-) -> ClockedMotion:
-    """Return the fastest motion along a path by a first clock, as of ``jerk_limited``."""
-    clock = jerk_limited(first, lambda s: Demands.along(path, limits, s), jerk_shares)
-    return ClockedMotion(motion_by(path, requirements, clock), clock)
+@dataclass(frozen=True, eq=False)
+class Pace:
+    """Smallest times per parameter on the parts of a path, by default none on the whole path."""
+
+    ends: tuple[float, ...] = WHOLE  # (parts + 1,): parameters at which they start and end
+    slowness: Array = field(default_factory=lambda: np.zeros(1))  # (parts,) [s]: smallest 1 / ṡ
+
+    def at(self, s: Array) -> Array:
+        """Return the slowness (J,) at s (J,)."""
+        slowness: Array = self.slowness[np.searchsorted(self.ends[1:-1], s, side="right")]
+        return slowness
+
+    @property
+    def joints(self) -> Array:
+        """(k,): parameters at which the slowness changes."""
+        steps = np.diff(self.slowness, prepend=0.0, append=0.0)
+        return np.asarray(np.array(self.ends)[steps != 0.0])
+
+    def adjusted(self, times: Array, durations: Array) -> Pace:
+        """Return the pace at which parts take their smallest durations (parts,) [s], or longer.
+
+        It is the same if they do, with ``times`` (parts + 1,) [s] at their ends, up to a tolerance.
+        """
+        excess = np.diff(times) - durations
+        is_off = np.abs(excess) > PACE_TOLERANCE * durations
+        if not np.any(is_off & ((excess < 0.0) | (self.slowness > 0.0))):
+            return self
+        slowness = np.maximum(self.slowness - excess / np.diff(self.ends), 0.0)
+        return Pace(self.ends, slowness)
 
 
 MAX_PEAK = 1.003
@@ -129,29 +135,157 @@ A whole flight that is stretched for a peak takes longer by a third of its exces
 MAX_PEAK_ROUNDS = 2  # Maximum number of clocks with smaller peaks that are tried
 
 
-def _without_peaks(
+def fastest_motion(path: FlatPath, requirements: Requirements) -> ClockedMotion:
+    """Return the fastest motion along a path; between samples it may exceed limits.
+
+    Raises
+    ------
+    TimingError: no timing was found.
+    """
+    return PacedTiming(path, requirements, Pace()).motion
+
+
+@dataclass(frozen=True, eq=False)
+class PacedTiming:
+    """The fastest timing of a path at a pace, by a profile that a clock speeds up and smooths.
+
+    Raises
+    ------
+    TimingError: no timing was found.
+    """
+
+    path: FlatPath
+    requirements: Requirements
+    pace: Pace
+
+    @cached_property
+    def limits(self) -> Limits:
+        """Limits of motion of the clock."""
+        return clocked_limits(self.path, self.requirements)
+
+    @cached_property
+    def on_grid(self) -> Demands:
+        """Demands on toppra's grid."""
+        ends = self.pace.ends
+        grid = path_grid(TIMING_GRID, ends)
+        demands = demands_along(self.path, self.requirements.limits, TIMING_GRID, ends)
+        return replace(demands, limits=self.limits, slowness=self.pace.at(grid))
+
+    @cached_property
+    def profile(self) -> SpeedProfile:
+        """The fastest motion without a limit of jerk."""
+        return fastest_profile(path_grid(TIMING_GRID, self.pace.ends), self.on_grid)
+
+    @cached_property
+    def ramp(self) -> float:
+        """Time [s] over which the profile is smoothed."""
+        ramp = acceleration_ramp(self.profile, self.on_grid)
+        return max(ramp, MIN_RAMP_SHARE * self.profile.duration)
+
+    @property
+    def estimated_times(self) -> Array:
+        """(parts + 1,) [s]: estimates of the times at which the motion is at the ends of parts."""
+        times = np.interp(self.pace.ends, self.profile.s, self.profile.times)
+        times[1:] += 0.5 * RAMP_SHARE * self.ramp
+        times[-1] += 0.5 * RAMP_SHARE * self.ramp
+        return np.asarray(times)
+
+    @property
+    def motion(self) -> ClockedMotion:
+        """The motion and its clock; between samples it may exceed limits."""
+        refinement = 1
+        while True:
+            mesh = time_mesh(self.profile, self.ramp, refinement, self.pace.joints)
+            first = first_clock(self.profile, self.ramp, mesh)
+            fastest = self._clocked(first)
+            motion = fastest.motion
+            if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
+                return self._without_peaks(first, fastest)
+            refinement *= 2
+
+    def _clocked(self, first: Clock, jerk_shares: Array | None = None) -> ClockedMotion:
+        """Return the fastest motion by a first clock, as of ``jerk_limited``."""
+
+        def demands_at(s: Array) -> Demands:
+            """Return the demands at s (J,)."""
+            demands = Demands.along(self.path, self.limits, s)
+            return replace(demands, slowness=self.pace.at(s))
+
+        clock = jerk_limited(first, demands_at, jerk_shares)
+        return ClockedMotion(motion_by(self.path, self.requirements, clock), clock)
+
+    def _without_peaks(self, first: Clock, fastest: ClockedMotion) -> ClockedMotion:
+        """Return a motion without peaks of jerk between samples, if it is faster once stretched."""
+        best = fastest
+        peaks = jerk_peaks(best.motion, self.limits)
+        best_duration = np.cbrt(np.max(peaks)) * best.motion.duration
+        shares = np.ones(len(peaks))
+        for _ in range(MAX_PEAK_ROUNDS):
+            if np.max(peaks) <= MAX_PEAK:
+                break
+            shares = shares / np.maximum(peaks, 1.0)
+            slower = self._clocked(first, shares)
+            peaks = jerk_peaks(slower.motion, self.limits)
+            duration = np.cbrt(max(1.0, np.max(peaks))) * slower.motion.duration
+            if duration < best_duration:
+                best = slower
+                best_duration = duration
+        return best
+
+
+MAX_PACES = 4  # Maximum number of paces of profiles that are tried for durations of parts
+MAX_TIMINGS = 2  # Maximum number of paces at which motions are timed; the rest is a stretch
+
+
+class PartedMotion(NamedTuple):
+    """A motion along a path, and when it is at the ends of its parts."""
+
+    motion: Motion
+    times: Array  # (parts + 1,) [s]
+
+
+def motion_in_parts(
     path: FlatPath,
     requirements: Requirements,
-    limits: Limits,
-    first: Clock,
-    fastest: ClockedMotion,
-) -> ClockedMotion:
-    """Return a motion without peaks of jerk between samples, if it is faster once stretched."""
-    best = fastest
-    peaks = jerk_peaks(best.motion, limits)
-    best_duration = np.cbrt(np.max(peaks)) * best.motion.duration
-    shares = np.ones(len(peaks))
-    for _ in range(MAX_PEAK_ROUNDS):
-        if np.max(peaks) <= MAX_PEAK:
+    ends: Array,
+    durations: Array,
+    check_total: Callable[[float], None],
+) -> PartedMotion:
+    """Return the fastest motion along a path whose parts take their smallest durations, or longer.
+
+    Parts that would be shorter are flown at a smaller speed, which is found by a few profiles, and
+    then by a few motions.
+
+    Parameters
+    ----------
+    ends: (parts + 1,), path parameters at which the parts start and end, from 0 to 1.
+    durations: (parts,) [s], smallest durations; 0 for none.
+    check_total: called with an estimate of the whole duration [s], and with the duration.
+
+    Raises
+    ------
+    TimingError: no timing was found.
+    """
+    pace = Pace(tuple(ends.tolist()), durations / np.diff(ends))
+    for _ in range(MAX_PACES):
+        current = pace
+        times = PacedTiming(path, requirements, current).estimated_times
+        pace = current.adjusted(times, durations)
+        if pace is current:
             break
-        shares = shares / np.maximum(peaks, 1.0)
-        slower = _clocked(path, requirements, limits, first, shares)
-        peaks = jerk_peaks(slower.motion, limits)
-        duration = np.cbrt(max(1.0, np.max(peaks))) * slower.motion.duration
-        if duration < best_duration:
-            best = slower
-            best_duration = duration
-    return best
+    check_total(float(times[-1]))
+    for _ in range(MAX_TIMINGS):
+        current = pace
+        fastest, clock = PacedTiming(path, requirements, current).motion
+        motion = within_limits(fastest)
+        inner = clock.times_at(ends[1:-1]) * (motion.duration / fastest.duration)
+        times = np.concatenate([[0.0], inner, [motion.duration]])
+        pace = current.adjusted(times, durations)
+        if pace is current:
+            break
+    factor = max(1.0, float(np.max(durations / np.diff(times))))
+    check_total(factor * motion.duration)
+    return PartedMotion(motion.slowed(factor), factor * times)
 
 
 def stated_motion(path: Path, duration: float, requirements: Requirements) -> ClockedMotion:
