@@ -1,5 +1,8 @@
 """Flights by flight controllers: forming and holding a hitch, by filter and transmission.
 
+The default tracking error of a controller (``FlightController.tracking``) has to hold in 95 of 100
+perturbed flights: largest distances of flights, of mean μ and deviation σ, stay below μ + 1.645 σ.
+
 Usage: python -m benchmarks controllers [--problems NAME ...] [--controllers NAME ...]
                                         [--filters NAME ...] [--sent streamed uploaded]
                                         [--runs N] [--seed S] [--preset NAME] [--friction MU]
@@ -53,8 +56,10 @@ WIND, WIND_MASS = 0.05, 0.132  # Force of gusts and steady wind [N] on a drone o
 
 COLUMNS = (
     "problem", "controller", "filter", "sent", "formed", "first failures", "vertices [cm]",
-    "drones [cm]", "tension / planned", "tilt [°]", "off in flight [cm]", "least ratio",
+    "drones [cm]", "tension / planned", "tilt [°]", "off in flight [cm]", "95 of 100 [cm]",
+    "default [cm]", "least ratio",
 )  # fmt: skip
+QUANTILE = 1.645  # Deviations of a normal distribution below which 95 of 100 values are
 
 Case = tuple[str, str, str, str]
 
@@ -129,8 +134,17 @@ def fly(
     return FlightFigures.of(simulation)
 
 
-def row(case: Case, flights: Sequence[FlightFigures]) -> tuple[object, ...]:
+def default_tracking(team: ho.Team, controller: str) -> float:
+    """Return the tracking error [cm] for which plans allow if drones have a controller."""
+    name, gains = CONTROLLERS[controller]
+    flown = flown_team(team, Settings(controller=name, gains=gains))
+    return max(100.0 * (kind.loop.tracking or 0.0) for kind in flown.kinds)
+
+
+def row(case: Case, team: ho.Team, flights: Sequence[FlightFigures]) -> tuple[object, ...]:
     """Return the cells of a case's flights."""
+    off = np.array([each.off for each in flights])
+    spread = float(np.std(off, ddof=1)) if len(off) > 1 else np.nan
 
     def mean(name: str) -> str:
         values = [value for each in flights if np.isfinite(value := getattr(each, name))]
@@ -142,7 +156,9 @@ def row(case: Case, flights: Sequence[FlightFigures]) -> tuple[object, ...]:
         most_common(each.failure for each in flights if each.failure),
         *map(mean, ("vertex", "drone", "tension")),
         f"{max(each.tilt for each in flights):.0f}",
-        f"{max(each.off for each in flights):.1f}",
+        f"{np.max(off):.1f}",
+        f"{np.mean(off) + QUANTILE * spread:.1f}",
+        f"{default_tracking(team, case[1]):.1f}",
         f"{min(each.ratio for each in flights):.2f}",
     )
 
@@ -169,6 +185,6 @@ def main() -> None:
                 one = partial(fly, place, plan.motion.team, case, options.preset, options.friction)
                 seeds = range(options.seed, options.seed + options.runs)
                 try:
-                    table.row(*row(case, list(pool.map(one, seeds))))
+                    table.row(*row(case, plan.motion.team, list(pool.map(one, seeds))))
                 except ho.HitchoptError as error:  # such as an upload that exceeds the memory
                     table.row(*case, f"refused: {str(error).splitlines()[0]}")

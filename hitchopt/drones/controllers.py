@@ -38,7 +38,14 @@ DAMPING_RATIO = 5.0 / 6.0
 """kd / (2 √(kp m)) if no damping is specified: gains of 36/s² and 10/s times the mass."""
 
 INTEGRAL_TIME = 2.0  # [s] kp / ki if only the presence of an integral is specified
-MIN_TRACKING = 0.05  # [m] Tracking error of the stiffest loops, and lower bound for all others
+
+MIN_TRACKING = 0.06
+"""[m] Tracking error of the stiffest loops, and lower bound for all others.
+
+In ten perturbed flights of ``problems/retuned_triangle.yaml`` (as ``python -m benchmarks
+controllers``), largest errors are 5.0 cm in the mean and deviate by 0.4 cm: 95 of 100 stay below
+5.7 cm. The largest occur as cables become taut."""
+
 
 PULL_TIME = 0.0225
 """[s] Velocity that the exported filter estimates under a steady pull, per acceleration.

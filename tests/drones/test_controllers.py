@@ -72,9 +72,10 @@ def test_mellingers_integral_has_a_largest_force() -> None:
 
 
 def test_tracking_errors_match_three_flights_with_mellingers_controller() -> None:
+    """The last one is perturbed, and its error what 95 of 100 such flights keep."""
     offs: list[Any] = [loop("mellinger", mass).tracking for mass in (0.132, 0.0393)]
     offs.append(loop("mellinger", **RETUNED).tracking)
-    np.testing.assert_allclose(offs, [0.22, 0.11, 0.053], rtol=0.07)
+    np.testing.assert_allclose(offs, [0.22, 0.11, 0.057], rtol=0.07)
 
 
 def test_gains_reach_their_drones_and_axes() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.drones.controllers import Tube
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Assignment
@@ -64,6 +65,26 @@ def test_release_is_form_reversed() -> None:
         np.testing.assert_allclose(sampled(there), sampled(again)[::-1], atol=1e-9)
     pulls = back[0].tensions.at([0.0, back[0].duration])
     np.testing.assert_array_equal(pulls, [PENTAGON.team.tension, np.zeros(5)])
+
+
+@pytest.mark.parametrize("tracking", [0.03, 0.06, ho.Tube(0.05, 0.2)])
+def test_cables_whose_slack_errors_take_up_are_tightened_slowly(
+    tracking: float | ho.Tube,
+) -> None:
+    """Two drones of a cable may each be off by the tracking error, and pull it taut at any time."""
+    requirements = Requirements(Limits(tracking=tracking)).with_reserve
+    *_, tighten, _ = find_prehitch(PENTAGON, requirements, SwapSettings()).stages(requirements)
+    assert tighten.phases[0].name == "tighten"
+    layout = PENTAGON.team.layout
+    t = np.linspace(0.0, tighten.duration, 2001)
+    drones, clasps = tighten.drones.at(t), tighten.vertices.at(t)
+    legs = np.linalg.norm(drones - clasps[:, layout.anchors], axis=-1).reshape(len(t), -1, 2)
+    edges = np.linalg.norm(clasps[:, layout.ends] - clasps[:, layout.starts], axis=-1)
+    slack = np.min(LENGTHS - np.sum(legs, axis=-1) - edges, axis=1)
+    is_tight = slack < 2.0 * Tube.of(tracking).level
+    speed = np.max(np.linalg.norm(tighten.drones.at(t, 1), axis=-1), axis=1)
+    assert np.max(speed[is_tight]) <= 0.1
+    assert np.max(speed[~is_tight]) > 0.2
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def quintic(s: float) -> float:
 
 @pytest.mark.parametrize(
     ("stated", "tracking"),
-    [(None, 0.05), (ho.Limits(speed=0.5), 0.05), (ho.Limits(tracking=0.0), 0.0)],
+    [(None, 0.06), (ho.Limits(speed=0.5), 0.06), (ho.Limits(tracking=0.0), 0.0)],
 )
 @pytest.mark.parametrize("duration", [None, 4.0])
 def test_paths_of_named_drones_have_their_tracking_errors(

@@ -189,6 +189,7 @@ GROUND_CLEARANCE = 1.1
 JOINT_RESERVE = 2e-3
 """[m] Reserve for bounds of ``tracking_radius``, which are lower than values at samples."""
 
+SLACK_SAMPLES = 201  # Number of samples of a motion that makes cables taut
 DRAWING_SHARE = 0.9  # Speed of drones that draw cables taut, over its limit
 PAUSE = 0.01  # [s] Duration of a flight in which no drone moves
 
@@ -230,20 +231,42 @@ def drawing_progress(
     From where errors of position could pull a cable taut, the drones are slow (see
     ``hitchopt.checks.tracking``).
     """
-    limits = requirements.limits
-    error = requirements.height_error
-    if not error:
-        return line_progress(team, limits, start, end)
-    shares = np.linspace(0.0, 1.0, 201)
+    shares = np.linspace(0.0, 1.0, SLACK_SAMPLES)
     drones = start + shares[:, None, None] * (end - start)
     slack = np.min(team.cable_length - length(drones[:, 1::2] - drones[:, 0::2]), axis=1)
+    error, speed = requirements.height_error, DRAWING_SHARE * DRAWING_SPEED
+    return tightening_progress(team, requirements.limits, start, end, slack, error, speed)
+
+
+def tightening_progress(
+    team: Team,
+    limits: Limits,
+    start: Array,
+    end: Array,
+    slack: Array,
+    error: float,
+    speed: float,
+    min_distance: float = 0.0,
+) -> PiecewisePolynomial:
+    """Return the progress along straight lines on which cables become taut, from 0 to 1.
+
+    Parameters
+    ----------
+    team, limits, start, end, min_distance: as of ``line_progress``.
+    slack: (S,) [m], length that the tautest cable lacks, at equal steps of the progress.
+    error: largest position error of a drone [m]; 0 counts for no motion.
+    speed: largest speed of drones [m/s] from where two errors could pull a cable taut.
+    """
+    if not error:
+        return line_progress(team, limits, start, end, min_distance)
+    shares = np.linspace(0.0, 1.0, len(slack))
     is_tight = np.append(slack <= 2.0 * error + JOINT_RESERVE, True)
     share = float(shares[max(int(np.argmax(is_tight)) - 1, 0)])
     middle = start + share * (end - start)
-    slow = with_fields(limits, speed=min(limits.speed, DRAWING_SHARE * DRAWING_SPEED))
+    slow = with_fields(limits, speed=min(limits.speed, speed))
     parts = list[PiecewisePolynomial]()
     if share > 0.0:
-        first = line_progress(team, limits, start, middle)
+        first = line_progress(team, limits, start, middle, share * min_distance)
         parts.append(first.replaced(share * first.coefficients))
     if share < 1.0:
         last = line_progress(team, slow, middle, end)
