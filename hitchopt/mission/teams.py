@@ -20,7 +20,9 @@ from hitchopt.motion.motion import WAIT, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.schedule import STEP, Blocked, Placed, SampledPath, Schedule
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
 
 MARGINS = 0.0, 0.02, 0.05, 0.10
@@ -30,9 +32,13 @@ LAYER_GAP = 2.2
 """Vertical offset of a path if no delay helps, and gap of one that clears all other teams, over
 ``separation.height``."""
 
-LAYERS = (1, 3, 5)
-"""Numbers of paths of a team that are tried in turn: its own, also those one LAYER_GAP higher or
-lower, also those above or below all that other teams do meanwhile."""
+LAYERS = (1, 3, 5, 7)
+"""Numbers of paths of a team that are tried in turn: its own, also those that climb or descend by
+one LAYER_GAP on the way, also those that do so at rest at both ends, also those above or below all
+that other teams do meanwhile."""
+
+CLIMB_SHARE = 1.0 / 3.0
+"""Share of the duration in which a path on the way to another height climbs, and descends."""
 
 CLIMB = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of a unit climb; its first three derivatives vanish at both ends."""
@@ -164,7 +170,7 @@ class _Item:
         gap = LAYER_GAP * self.schedule.separation.height
         is_higher = layer % 2 == 1
         lowest, highest = _heights(track)
-        if layer <= 2:
+        if layer <= 4:
             height = gap if is_higher else -gap
         else:
             gap += 2.0 * motion.requirements.limits.tube.largest + MARGINS[-1]
@@ -175,7 +181,7 @@ class _Item:
         ceiling = math.inf if arena is None else float(arena.upper[2])
         if lowest + height < floor or highest + height > ceiling:
             return None
-        detour = _detour(motion, height)
+        detour = _detour(motion, height, at_rest=layer > 2)
         return None if detour is None else SampledPath(TeamMotion(name, detour), track.owned)
 
     def fly(
@@ -186,14 +192,29 @@ class _Item:
         if isinstance(schedule, Blocked):
             raise _blocked_error(schedule, self.index)
         delayed = [(x.track.flown.name, STEP * x.start, x.track.flown.motion) for x in schedule]
-        end = max(delay + motion.duration for name, delay, motion in delayed if name in self.row)
+        end, last = max(
+            (delay + motion.duration, name) for name, delay, motion in delayed if name in self.row
+        )
+        ahead = {placed.track.flown.name: placed.behind for placed in schedule}
         for name, delay, motion in delayed:
+            until = f"until {last} ends item {self.index}"
             if name in self.row:
-                flown[name].append(padded(shifted(motion, delay), 0.0, end))
+                whole = padded(shifted(motion, delay), 0.0, end)
+                remarks = f"for {ahead[name]}" if ahead[name] else "", until
+                flown[name].append(_with_remarks_on_waits(whole, *remarks))
             else:
-                wait = replace(motion.phases[0], name=WAIT, tension=None, remark="")
+                wait = replace(motion.phases[0], name=WAIT, tension=None, remark=until)
                 flown[name].append(resting(motion, end, wait))
         return end
+
+
+def _with_remarks_on_waits(motion: Motion, before: str, after: str) -> Motion:
+    """Return the motion with remarks on why it waits, if it does, at its start and its end."""
+    phases = list(motion.phases)
+    for k, remark in ((0, before), (-1, after)):
+        if phases[k].name == WAIT:
+            phases[k] = replace(phases[k], remark=remark)
+    return motion.replaced(phases=tuple(phases))
 
 
 def _heights(track: SampledPath) -> tuple[float, float]:
@@ -218,15 +239,44 @@ def _merge_waits(motion: Motion) -> Motion:
     return motion.replaced(phases=tuple(phases))
 
 
-def _detour(motion: Motion, height: float) -> Motion | None:
+def _detour(motion: Motion, height: float, *, at_rest: bool) -> Motion | None:
     """Return the motion at a vertical offset [m]: a climb, the same path and a descent.
 
-    None for motions with free cables or a held object, and for motions of several steps.
+    The team climbs and descends ``at_rest``, before and after the path, or on its way. None for
+    motions with free cables or a held object, and for motions of several steps.
     """
     if any((not (p.formed or p.hold) and motion.team.has_cables) or p.hold for p in motion.phases):
         return None
     if motion.phases[0].step != motion.phases[-1].step:
         return None
+    return _climbing_at_rest(motion, height) if at_rest else _climbing(motion, height)
+
+
+def _climbing(motion: Motion, height: float) -> Motion | None:
+    """Return the motion that climbs on the first third of its path and descends on the last one.
+
+    It is as slow as its limits require. None for a motion of too few pieces.
+    """
+    breaks = motion.drones.breaks
+    shares = (breaks - breaks[0]) / motion.duration
+    top, bottom = (int(np.argmin(np.abs(shares - x))) for x in (CLIMB_SHARE, 1.0 - CLIMB_SHARE))
+    if not 0 < top < bottom < motion.drones.pieces:
+        return None
+    knots = breaks[[0, top, bottom, -1]]
+    profile = PiecewisePolynomial(knots, height * np.array([CLIMB, np.ones(8), CLIMB[::-1]]))
+    rise = on_breaks(profile, breaks).coefficients
+    raised = _raised(motion.replaced(requirements=motion.requirements.with_reserve), rise)
+    remark = f"{height:+.2g} m on the way, past other teams"
+    phases = [
+        replace(phase, remark="; ".join(filter(None, (phase.remark, remark))))
+        for phase in raised.phases
+    ]
+    slowed = raised.replaced(phases=tuple(phases)).slowed(max(1.0, needed_stretch(raised)))
+    return slowed.replaced(requirements=motion.requirements)
+
+
+def _climbing_at_rest(motion: Motion, height: float) -> Motion:
+    """Return the motion after a climb at rest, and before a descent at rest."""
     limits = motion.requirements.with_reserve.limits
     speed = min(limits.speed, limits.vertex_speed) if motion.team.has_cables else limits.speed
     rates = speed, 0.5 * limits.acceleration, limits.jerk
@@ -237,21 +287,23 @@ def _detour(motion: Motion, height: float) -> Motion | None:
     climb = resting(motion, duration, replace(motion.phases[0], name="climb"), first=True)
     descend = resting(motion, duration, replace(motion.phases[-1], name="descend"))
     raised = [
-        _raised(climb, height * CLIMB),
-        _raised(motion, np.full(1, height)),
-        _raised(descend, height * CLIMB[::-1]),
+        _raised(climb, height * CLIMB[None]),
+        _raised(motion, np.full((1, 1), height)),
+        _raised(descend, height * CLIMB[None, ::-1]),
     ]
     return concatenated(raised)
 
 
 def _raised(motion: Motion, heights: Array) -> Motion:
-    """Return the motion with a polynomial (degree + 1,) [m] added to the heights of each piece."""
+    """Return the motion with polynomials added to the heights of its pieces.
+
+    Their coefficients are (pieces, degree + 1), or (1, degree + 1) for all pieces [m].
+    """
 
     def add_heights(path: PiecewisePolynomial) -> PiecewisePolynomial:
-        degree = max(path.degree, len(heights) - 1)
+        degree = max(path.degree, heights.shape[1] - 1)
         coefficients = path.elevated(degree).coefficients.copy()
-        offset = PiecewisePolynomial(path.breaks[:2], heights[None]).elevated(degree)
-        coefficients[..., 2, :] += offset.coefficients[0]
+        coefficients[..., 2, :] += bernstein.elevate(heights, degree)[:, None]
         return path.replaced(coefficients)
 
     return motion.replaced(drones=add_heights(motion.drones), vertices=add_heights(motion.vertices))

@@ -9,10 +9,11 @@ of every pair of samples, so that every delay is one of its diagonals.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import pairwise, permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -239,8 +240,8 @@ def _slack(
     smallest = np.full(len(i), np.inf)
     required = limit + first.radii[:, None] + second.radii
     reach = required[..., None] * axes + REACH
-    first_boxes = _boxes(first.corners[i])
-    second_boxes = _boxes(second.corners[j])
+    first_boxes = _boxes(first.corners)[i]
+    second_boxes = _boxes(second.corners)[j]
     vertical = _gaps(first.heights[i], second.heights[j])
     near = vertical < reach[..., 2]
     for axis in range(2):
@@ -271,10 +272,10 @@ def _downwash_slack(
     smallest = np.full(len(i), np.inf)
     points = drones.corners[i][:, :, :1]
     hulls = others.corners[j]
+    boxes = _boxes(others.corners)[j]
     lowest, highest = np.moveaxis(others.heights[j], -1, 0)
     rise = points[..., 2] - highest[:, None]
     near = (rise < limit * upward + REACH) & (points[..., 2] > lowest[:, None])
-    boxes = _boxes(hulls)
     reach = limit * across + REACH + others.radii
     for axis in range(2):
         place = points[..., axis]
@@ -289,7 +290,7 @@ def _downwash_slack(
 
 
 def _boxes(corners: Array) -> Array:
-    """Return the intervals (m, bodies, 3, 2) [m] of corners (m, bodies, k, 3) [m] on every axis."""
+    """Return the intervals (samples, bodies, 3, 2) [m] of corners (samples, bodies, k, 3) [m]."""
     return np.stack([np.min(corners, axis=2), np.max(corners, axis=2)], axis=-1)
 
 
@@ -307,6 +308,7 @@ class Placed:
 
     track: SampledPath  # The track
     start: int  # Sample of the common clock at which it starts
+    behind: str = ""  # Name of the team for which it waits; empty if it starts at once
 
 
 def _end(schedule: Sequence[Placed]) -> int:
@@ -347,7 +349,8 @@ class Schedule:
         """Return the starts, in the order of the file, or the first conflict.
 
         More layers are tried while teams wait for each other, or have no start; they are taken if
-        they save LAYER_SAVING of the duration. For other plans teams only wait, if that helps.
+        they save LAYER_SAVING of the duration, and tried if one of their paths is so short. For
+        other plans teams only wait, if that helps.
 
         Parameters
         ----------
@@ -357,7 +360,13 @@ class Schedule:
         conflicts = list[Blocked]()
         best: list[Placed] | None = None
         without_waiting = max(map(len, self.tracks))
-        for layers in self.numbers_of_layers:
+        for fewer, layers in pairwise((0, *self.numbers_of_layers)):
+            if best is not None:
+                longest = (1.0 - LAYER_SAVING) * _end(best)
+                every = product(range(len(self.tracks)), range(fewer, layers))
+                paths = filter(None, (self._path(*each) for each in every))
+                if min(map(len, paths), default=math.inf) > longest:
+                    continue
             schedule = self._in_layers(fixed, layers, pad)
             if isinstance(schedule, Blocked):
                 conflicts.append(schedule)
@@ -367,6 +376,14 @@ class Schedule:
             if fixed or _end(best) * (1.0 - LAYER_SAVING) < without_waiting:
                 break
         return conflicts[0] if best is None else best
+
+    def _path(self, team: int, layer: int) -> SampledPath | None:
+        """Return the path of a team in a layer, of which 0 is its own; None if there is none."""
+        if layer == 0:
+            return self.tracks[team]
+        if (team, layer) not in self.alternatives:
+            self.alternatives[team, layer] = self.alternative(team, layer)
+        return self.alternatives[team, layer]
 
     def _in_layers(
         self, fixed: Sequence[Placed], layers: int, pad: float
@@ -418,7 +435,7 @@ class Schedule:
             placed[team] = placement
         first = min([0, *(placement.start for placement in placed.values())])
         return {
-            team: Placed(placement.track, placement.start - first)
+            team: replace(placement, start=placement.start - first)
             for team, placement in placed.items()
         }
 
@@ -433,24 +450,22 @@ class Schedule:
         for starts_before in (False, True) if earlier else (False,):
             feasible = list[Placed]()
             for layer in range(layers):
-                if layer and (team, layer) not in self.alternatives:
-                    self.alternatives[team, layer] = self.alternative(team, layer)
-                track = self.alternatives[team, layer] if layer else self.tracks[team]
+                track = self._path(team, layer)
                 if track is None:
                     continue
-                start = self._earliest(track, placed, pad, earlier=starts_before)
-                if isinstance(start, Blocked):
-                    conflicts.append(start)
+                placement = self._earliest(track, placed, pad, earlier=starts_before)
+                if isinstance(placement, Blocked):
+                    conflicts.append(placement)
                 else:
-                    feasible.append(Placed(track, start))
+                    feasible.append(placement)
             if feasible:
                 return min(feasible, key=lambda path: path.start + len(path.track))
         return conflicts[0]
 
     def _earliest(
         self, track: SampledPath, placed: Sequence[Placed], pad: float, *, earlier: bool
-    ) -> int | Blocked:
-        """Return the earliest feasible start of a track with those placed, or a conflict.
+    ) -> Placed | Blocked:
+        """Return a track at its earliest feasible start with those placed, or a conflict.
 
         With ``earlier`` it is the latest feasible start below 0, for which all others wait.
         """
@@ -465,6 +480,7 @@ class Schedule:
         clock = np.arange(first, last + len(track) + 1)
         samples = track.samples(clock - starts[:, None])  # (starts, clock)
         feasible = np.ones(len(starts), np.bool_)
+        behind = ""
         for other in placed:
             table = self._table(track, other.track)
             # Starts or ends that are closer than the pad cannot be moved apart, and need no pad
@@ -478,8 +494,10 @@ class Schedule:
                 sample = int(clock[np.argmax(too_close[last_feasible])])
                 start = int(starts[last_feasible])
                 return self._blocked(track, other, sample, start, float(needed))
+            if np.argmax(remaining) > np.argmax(feasible):
+                behind = other.track.flown.name
             feasible = remaining
-        return int(starts[np.argmax(feasible)])
+        return Placed(track, int(starts[np.argmax(feasible)]), "" if earlier else behind)
 
     def _table(self, a: SampledPath, b: SampledPath) -> Array:
         """Return the slacks (samples of a, samples of b) [m] of two tracks."""

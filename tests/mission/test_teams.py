@@ -189,8 +189,10 @@ def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Pa
 
 
 def test_two_finished_plans_on_one_clock_have_the_certificate_of_the_teams_together() -> None:
-    together = planned("two_teams")
-    problem = ho.load_problem(PROBLEMS / "two_teams.yaml")
+    low = replace(
+        ho.load_problem(PROBLEMS / "two_teams.yaml"), arena=ho.Arena([-9, -9, 1], [9, 9, 2])
+    )
+    problem, together = low, ho.solve(low)  # b waits
     parts = {key: getattr(problem, key) for key in ("limits", "separation", "arena")}
     each = [ho.solve(ho.Problem(x.team, x.start, x.steps, **parts)) for x in problem.teams.values()]
     combined = ho.combine(each[0], each[1], at=7.0)
@@ -224,6 +226,37 @@ def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> No
         exchanged(9.0)
 
 
+def test_crossing_teams_climb_on_their_way_and_waits_say_for_whom() -> None:
+    """The climb keeps all limits; under a low ceiling the later team waits, and says so."""
+    polygon = np.array(TRIANGLE) @ [[0.6, 0.8], [-0.8, 0.6]]
+    team, places = ho.Team(3, 2.3), {"east": [-3.6, 0.3], "north": [0.2, -3.4]}
+    start: Any = {name: ho.HitchStart(polygon + at, 1.4) for name, at in places.items()}
+    item = {
+        "east": Transport(np.array([3.4, 0.1, 1.4])),
+        "north": Transport(np.array([0.1, 3.2, 1.4])),
+    }
+    teams = dict.fromkeys(places, team)
+    free, low = (
+        ho.solve(ho.Problem(teams, start, [item], arena=arena))
+        for arena in (None, ho.Arena([-9.0, -9.0, 1.0], [9.0, 9.0, 1.9]))
+    )
+    remarks = {
+        each.name: [(phase.name, phase.remark) for phase in each.motion.phases]
+        for each in free.flight.teams
+    }
+    assert remarks == {
+        "east": [("transport", ""), (WAIT, "until north ends item 0")],
+        "north": [("transport", "+0.66 m on the way, past other teams")],
+    }
+    (_, north) = free.flight.teams
+    heights = north.motion.vertices.at(np.linspace(0.0, free.duration, 101))[:, 0, 2]
+    np.testing.assert_allclose(heights[[0, 50, 100]], [1.4, 2.06, 1.4], atol=1e-9)
+    assert free.certificate.certified
+    assert free.duration < 0.9 * low.duration
+    waits = [phase.remark for phase in low.phases if phase.name == WAIT]
+    assert waits == ["until north ends item 0", "for east"]
+
+
 @pytest.mark.slow
 def test_teams_that_cross_rise_instead_of_waiting_where_that_takes_less_time() -> None:
     """Three paths that cross in one point; a low ceiling leaves only the wait."""
@@ -237,8 +270,12 @@ def test_teams_that_cross_rise_instead_of_waiting_where_that_takes_less_time() -
     low = ho.Problem(teams, start, [item], arena=ho.Arena([-9, -9, 1.0], [9, 9, 2.0]))
     above, waiting = ho.solve(free), ho.solve(low)
     names = {phase.name for each in above.flight.teams for phase in each.motion.phases}
-    assert names >= {"climb", "descend"}
-    assert above.duration < 0.9 * waiting.duration
+    alone = max(
+        ho.solve(ho.Problem(teams[name], start[name], [step])).duration
+        for name, step in item.items()
+    )
+    assert above.duration < min(0.9 * waiting.duration, 1.25 * alone)
+    assert names == {"transport", WAIT}
 
 
 def test_start_times_have_a_larger_margin_until_all_teams_are_certified(
