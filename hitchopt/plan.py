@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
+from hitchopt.checks.friction_shifts import REST_SHIFT, SETTLED
 from hitchopt.checks.registry import NAMES
 from hitchopt.checks.separation import CLOSENESS_SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, contained, short
@@ -129,6 +130,7 @@ class Plan(OneLine):
             notes += assumption_notes(self.flight, request)
             notes += tracking_warnings(self.flight)
             notes += self._distance_notes()
+            notes += self._rest_notes()
         return tuple(notes)
 
     def _distance_notes(self) -> Iterator[str]:
@@ -146,6 +148,16 @@ class Plan(OneLine):
                 f"{100.0 * FLOWN_ERROR:.0f} cm off or more, and may come too close: "
                 "set limits.tracking to your drones' error"
             )
+
+    def _rest_notes(self) -> Iterator[str]:
+        """Yield a note if friction may hold a vertex farther off at rest than SETTLED."""
+        for check in self.certificate.checks:
+            if check.name == REST_SHIFT.name and check.limit is None and check.worst > SETTLED:
+                yield (
+                    f"friction may hold {', '.join(check.where)} {100.0 * check.worst:.2g} cm off "
+                    f"the plan, at rest at t = {check.time:.4g} s: settle, give vertices room to "
+                    "over-travel, or use smoother cables; limits.rest_shift refuses it"
+                )
 
     def _repr_html_(self) -> str:
         """Return the summary card for notebooks: picture, phases, certificate and notes."""

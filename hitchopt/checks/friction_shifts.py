@@ -54,6 +54,10 @@ rest."""
 
 MAX_RETURN = 1e-4  # [m] Largest distance of a vertex after over-travels from its place before
 REST_TIME = 0.5  # [s] Shortest rest at which the distance from the plan counts
+SETTLED = 0.05
+"""[m] Largest distance from the plan at which vertices count as settled, unless a problem limits
+it. Vertices of simulated triangles rest within 2.4 cm."""
+
 SAMPLE_WAY = 0.1  # [m] Largest way between samples
 SAMPLES = 2  # Least number of samples from one rest of vertices to the next
 LEANING_SAMPLES = 8  # The same where legs lean against friction

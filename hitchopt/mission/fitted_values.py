@@ -1,4 +1,4 @@
-"""Cable lengths and tensions that statics suggest, as ``hitchopt fit`` does."""
+"""Cable lengths, tensions and frictions that statics suggest, as ``hitchopt fit`` does."""
 
 from __future__ import annotations
 
@@ -29,11 +29,12 @@ BETWEEN = (0.25, 0.5, 0.75)
 
 
 def fitted_sizes(problem: Problem, knobs: Sequence[Knob]) -> Iterator[tuple[Knob, float]]:
-    """Yield knobs of all cables and tensions with relative sizes that statics suggest.
+    """Yield knobs of all cables, tensions and friction with relative sizes that statics suggest.
 
-    Smaller changes come first, in both directions.
+    Friction comes first, then smaller changes, in both directions.
     """
     keys = {knob.key for knob in knobs}
+    yield from ((knob, knob.min_size) for knob in knobs if knob.key == "team.cable_friction")
     ratios = list[tuple[str, float]]()
     if "team.tension" in keys:
         largest = float(np.max(problem.team.tension))

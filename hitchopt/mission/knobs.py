@@ -51,6 +51,8 @@ MAX_FRICTION = 1.0  # Maximum coefficient of friction of suggestions
 
 MAX_TILT_DEG = 80.0  # Maximum tilt of suggestions [deg]
 
+REST_CHECKS = frozenset({"rest_shift", "vertex_error"})  # Constraints of friction at rest
+
 LOAD_SHARE = 0.95
 """First mass to try, as a fraction of the maximum mass at rest, since carrying adds forces."""
 
@@ -151,9 +153,32 @@ def _team_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     if np.any(problem.team.load > 0.0):
         covers = LOAD_CHECKS | FORCE_CHECKS | DISTANCE_CHECKS
         yield replace(_team_values(problem, "load", "kg"), sign=-1, covers=covers)
+    yield from _friction_knobs(problem, violations)
     thrust = _team_values(problem, "max_thrust", "N")
     key = "team.quadrotor.max_thrust" if thrust.unit == "N" else "team.quadrotor"
     yield replace(thrust, key=key, covers=DURATION_CHECKS | {"thrust"})
+
+
+def _friction_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield the friction of cables that hold vertices off their goals at rest.
+
+    Its smallest change is in proportion to the distance.
+    """
+    team = problem.team
+    shifts = [v.limit / v.value for v in violations if v.constraint in REST_CHECKS and v.value > 0]
+    if not shifts or team.friction == 0.0:
+        return
+    ratios = np.array([team.least_friction, team.friction]) / team.friction
+
+    def make_edits(new: float) -> Edits:
+        """Return the edit of the friction, or of both ends of its range."""
+        rounded = [round(float(each), DECIMALS) for each in new * ratios]
+        is_range = isinstance(team.cable_friction, tuple)
+        return (Edit("team.cable_friction", rounded if is_range else rounded[1]),)
+
+    covers = SPACE_CHECKS | REST_CHECKS | {"arena", "crossing", "friction_shift"}
+    knob = Knob("team.cable_friction", team.friction, "", make_edits, -1, covers)
+    yield replace(knob, min_size=max(0.0, 1.0 - min(shifts)))
 
 
 def _team_values(problem: Problem, name: str, unit: str) -> Knob:

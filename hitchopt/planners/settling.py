@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 
+from hitchopt.checks.friction_shifts import SETTLED, frictions_of
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
@@ -32,6 +33,8 @@ from hitchopt.motion.states import states_at
 from hitchopt.planners.along import straight_plan
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.ends import end_of_morph
+from hitchopt.planners.morph.legs import legs_clear
+from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.rests import IDLE, rest_motion, rest_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.values import Array, counted
@@ -83,29 +86,49 @@ def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) ->
     phase = Phase(SETTLE, plan.motion.phases[-1].step, 0.0, 0.0)
     seconds = settle if isinstance(settle, float) else None
     start = None if np.any(plan.motion.holding) else before
-    settling = settling_plan(at_end, seconds, phase, start)
+    settling = settling_plan(at_end, seconds, phase, start, requested=seconds is not None)
     return replace(plan, motion=concatenated([plan.motion, settling.motion]))
 
 
 def settling_plan(
-    task: StepTask, duration: float | None, phase: Phase, start: Hitch | None = None
+    task: StepTask,
+    duration: float | None,
+    phase: Phase,
+    start: Hitch | None = None,
+    *,
+    requested: bool,
 ) -> StepPlan:
     """Return the plan in which vertices over-travel and return to their goals.
 
     ``start`` is the hitch before its cables slid, None if these may hold any friction. Vertices
     over-travel as friction left them behind. Where limits bind they over-travel less, or not at
     all; the remark names the vertex that may rest farthest off, and what it lacks.
-    Raises InfeasibleError if that is farther than ``limits.vertex_error`` or ``rest_shift``, or if
-    limits bind within a prescribed ``duration``.
+    Raises InfeasibleError if that is farther than ``limits.vertex_error`` or ``rest_shift``, or
+    than SETTLED, with any friction of the range, where the problem ``requested`` over-travels and
+    no limit; and if limits bind within a prescribed ``duration``.
     """
     settling = Settling(task, duration, phase, start)
-    if not settling.lag >= 0.5 * STEP:  # nan without a balance
+    if settling.lag < 0.5 * STEP:
         return settling.rest(f"friction holds vertices within {100.0 * settling.lag:.2g} cm")
-    shares = SHARES if settling.first > 0.0 else ()
-    if duration is None or not shares:
-        shares = (*shares, 0.0)
-    settled = first_certified([settling.candidate(shares)], Effort())
-    settling.require_near(settled)
+    if math.isnan(settling.lag):
+        settled = settling.without_balance
+    else:
+        shares = SHARES if settling.first > 0.0 else ()
+        if duration is None or not shares:
+            shares = (*shares, 0.0)
+        settled = first_certified([settling.candidate(shares)], Effort())
+    limit = task.requirements.limits.held_at_rest
+    is_stated = limit is not None
+    if limit is None and requested:
+        limit = SETTLED
+    if limit is None:
+        return settled.plan
+    settling.require_within(limit, settled, settled.short, settling.vertex)
+    if not is_stated:  # others are limits of the certificate
+        left = settling.left_by(settled)
+        farthest = int(np.argmax(left))
+        names = task.hitch.team.point_names
+        settling.require_within(limit, settled, float(left[farthest]), names[farthest])
     return settled.plan
 
 
@@ -114,6 +137,7 @@ class Settled(NamedTuple):
 
     plan: StepPlan  # The plan
     short: float  # Distance that the vertex may be off [m]
+    over_travels: tuple[Hitch, ...] = ()  # Hitches beyond the goal
     causes: tuple[Violation, ...] = ()  # What larger over-travels break
 
 
@@ -125,6 +149,7 @@ class Settling:
     duration: float | None
     phase: Phase
     start: Hitch | None
+    _by_size: dict[float, Hitch] = field(default_factory=dict, init=False)  # Hitches beyond
 
     @cached_property
     def at_rest(self) -> dict[str, Array]:
@@ -169,24 +194,51 @@ class Settling:
         """Its name."""
         return self.task.hitch.team.point_names[self._farthest]
 
-    def _held(self, beyond: list[Hitch]) -> Array:
+    def _held(self, beyond: Sequence[Hitch]) -> Array:
         """Return offsets from the goal (1 + S, points, 2) [m] at which friction holds vertices.
 
         The hitch goes from its history to the goal, and then to S hitches beyond it.
         """
-        team, samples = self.task.hitch.team, self._history
+        share = 1.0 if self.start is None else 0.0
+        largest = np.array([self.task.hitch.team.friction])
+        return self._held_by(beyond, largest, np.array([share]))[:, 0]
+
+    def _held_by(self, beyond: Sequence[Hitch], frictions: Array, shares: Array) -> Array:
+        """Return ``_held`` for F coefficients of friction (1 + S, F, points, 2) [m].
+
+        At the start of the history, clasps hold ``shares`` (F,), as in ``held_vertices``.
+        """
+        samples = self._history
         if beyond:
             rests = _rests(beyond, self.task.requirements)
             samples = {name: np.concatenate([samples[name], rests[name]]) for name in samples}
-        share = 1.0 if self.start is None else 0.0
-        vertices = held_vertices(team, samples, np.array([team.friction]), np.array([share]))
-        from_goal = vertices[-1 - len(beyond) :, 0] - self.task.hitch.vertices
+        vertices = held_vertices(self.task.hitch.team, samples, frictions, shares)
+        from_goal = vertices[-1 - len(beyond) :] - self.task.hitch.vertices
         return np.asarray(from_goal[..., :2])
+
+    def left_by(self, settled: Settled) -> Array:
+        """Return how far (points,) [m] any friction of the range holds vertices off their goals.
+
+        It is infinite where forces have no balance.
+        """
+        frictions = frictions_of(settled.plan.motion)
+        shares = np.array([-1.0, 1.0] if self.start is None else [0.0])
+        path = [*settled.over_travels, self.task.hitch]
+        every = np.tile(frictions, len(shares)), np.repeat(shares, len(frictions))
+        left = length(self._held_by(path, *every)[-1])
+        return np.asarray(np.max(np.where(np.isfinite(left), left, np.inf), axis=0))
 
     def _beyond(self, sizes: Array) -> list[Hitch]:
         """Return hitches beyond the goal by over-travels of sizes (S,) [m]."""
-        goal, requirements = self.task.hitch, self.task.requirements
-        return [_displaced(goal, size * self.directions, requirements) for size in sizes.tolist()]
+        return [self._hitch_beyond(size) for size in sizes.tolist()]
+
+    def _hitch_beyond(self, size: float) -> Hitch:
+        """Return the hitch beyond the goal by an over-travel of a size [m], computed once."""
+        if size not in self._by_size:
+            offsets = size * self.directions
+            hitch = _displaced(self.task.hitch, offsets, self.task.requirements)
+            self._by_size[size] = hitch
+        return self._by_size[size]
 
     def _after(self, sizes: Array) -> Array:
         """Return how far (S,) [m] beyond its goal the farthest vertex is after each over-travel."""
@@ -242,6 +294,11 @@ class Settling:
         """Shortest duration of an over-travel [s]."""
         return MOVE_SHARE * longest_period(self.task.hitch.team, self.at_rest)
 
+    @property
+    def without_balance(self) -> Settled:
+        """The hitch at rest, where forces have no balance with the largest friction."""
+        return Settled(self.rest("with this friction, forces have no balance"), math.inf)
+
     def candidate(
         self, shares: Sequence[float], cause: InfeasibleError | None = None
     ) -> Candidate[Settled]:
@@ -256,11 +313,16 @@ class Settling:
 
     def _settled(self, share: float, cause: InfeasibleError | None) -> Settled:
         """Return the certified plan of over-travels from a share of the first one on."""
-        plan = self.over_travels(share) if share else self.rest(f"{self.vertex} does not settle")
+        if share:
+            self._check_clear(share * self.first)
+            hitches = self._beyond(self._sizes(share))
+            plan = self.over_travels(hitches)
+        else:
+            hitches, plan = [], self.rest(f"{self.vertex} does not settle")
         sizes, beyond, broken = self.growing
         short = max(0.0, -float(np.interp(share * self.first, sizes, beyond)))
         if cause is None and short <= 0.5 * STEP:
-            return Settled(plan, 0.0)
+            return Settled(plan, 0.0, tuple(hitches))
         causes = broken if cause is None else tuple(cause.violations)
         since = "".join(
             f", since larger over-travels break {str(replace(each, remedy='')).rstrip('; ')}"
@@ -270,12 +332,11 @@ class Settling:
             f"it may rest {100.0 * short:.2g} cm short{since}; "
             "limits.rest_shift refuses that, and finds changes that help"
         )
-        return Settled(plan.with_remark(remark), short, causes)
+        return Settled(plan.with_remark(remark), short, tuple(hitches), causes)
 
-    def over_travels(self, share: float) -> StepPlan:
-        """Return the certified plan of the over-travels from a share of the first one on."""
+    def over_travels(self, hitches: Sequence[Hitch]) -> StepPlan:
+        """Return the certified plan of over-travels to hitches beyond the goal."""
         goal = self.task.hitch
-        hitches = self._beyond(self._sizes(share))
         size = max(float(np.max(length(each.vertices - goal.vertices))) for each in hitches)
         ends = [*hitches, goal, goal]
         moves = plan_in_sequence([partial(self._move, end) for end in ends], self._smooth_task)
@@ -288,6 +349,17 @@ class Settling:
         times = counted(len(hitches), "time")
         remark = f"{self.vertex} over-travels {times}, by up to {100.0 * size:.2g} cm"
         return require_certified(moves.replaced(motion, moves.after).with_remark(remark))
+
+    def _check_clear(self, size: float) -> None:
+        """Raise InfeasibleError if limits bind on the way to the goal plus a size [m].
+
+        All over-travels of a larger first one are then spared their computation.
+        """
+        end, requirements = self._hitch_beyond(size), self.task.requirements
+        if moves(self.task.hitch, end):
+            path = straight_path(self.task.hitch, end, requirements)
+            if not legs_clear(path, requirements):
+                require_certified(self._move(end, self._smooth_task))
 
     @property
     def _smooth_task(self) -> StepTask:
@@ -309,17 +381,15 @@ class Settling:
         motion = rest_motion(hitch, requirements, self.duration or IDLE, self.phase)
         return self.task.plan_ending(motion, hitch).with_remark(remark)
 
-    def require_near(self, settled: Settled) -> None:
-        """Raise InfeasibleError for a vertex that may rest farther off [m] than its limit."""
-        limits = self.task.requirements.limits
-        limit = limits.held_at_rest
-        if limit is None or settled.short <= limit:
+    def require_within(self, limit: float, settled: Settled, left: float, vertex: str) -> None:
+        """Raise InfeasibleError for a vertex that may be left farther off [m] than a limit [m]."""
+        if left <= limit:
             return
-        where, when = (self.vertex,), "after over-travels"
-        remedy = "give vertices room to over-travel, or use smoother cables (cable_friction)"
+        limits = self.task.requirements.limits
         name = "vertex_error" if limit == limits.vertex_error else "rest_shift"
-        values = name, settled.short, limit, "max", "m", where, when, remedy
-        raise InfeasibleError([Violation(*values), *settled.causes])
+        remedy = "give vertices room to over-travel, use smoother cables (cable_friction), or raise"
+        values = name, left, limit, "max", "m", (vertex,), "after over-travels"
+        raise InfeasibleError([Violation(*values, f"{remedy} limits.{name}"), *settled.causes])
 
 
 def _root(sizes: Array, beyond: Array) -> float:
@@ -342,7 +412,7 @@ def _lasting(motion: Motion, duration: float) -> Motion:
     return motion.slowed(duration / motion.duration)
 
 
-def _rests(hitches: list[Hitch], requirements: Requirements) -> dict[str, Array]:
+def _rests(hitches: Sequence[Hitch], requirements: Requirements) -> dict[str, Array]:
     """Return hitches of a team at rest, as ``planned_rest``."""
     each = [_rests_of(rest_plan(hitch, requirements).motion, np.zeros(1)) for hitch in hitches]
     return {name: np.concatenate([rest[name] for rest in each]) for name in each[0]}

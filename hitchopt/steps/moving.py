@@ -128,7 +128,7 @@ class Settle(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of vertices that over-travel about their places."""
-        return settling_plan(task, self.prescribed_duration, self.phase(task))
+        return settling_plan(task, self.prescribed_duration, self.phase(task), requested=True)
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,8 @@ def test_crossing_teams_climb_on_their_way_and_waits_say_for_whom() -> None:
     np.testing.assert_allclose(heights[[0, 50, 100]], [1.4, 2.06, 1.4], atol=1e-9)
     assert free.certificate.certified
     assert free.duration < 0.9 * low.duration
-    waits = [phase.remark for phase in low.phases if phase.name == WAIT]
+    phases = [phase for each in low.flight.teams for phase in each.motion.phases]
+    waits = [phase.remark for phase in phases if phase.name == WAIT]
     assert waits == ["until north ends item 0", "for east"]
 
 

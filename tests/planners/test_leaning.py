@@ -373,9 +373,10 @@ def test_vertices_over_travel_less_where_limits_bind(tmp_path: Path) -> None:
 def test_remarks_say_where_polygons_leave_no_room_to_over_travel() -> None:
     """Also where no over-travel moves a vertex against so much friction."""
     nearly_flat = ho.ConvexPolygon([[0.0, 0.75], [0.5, 0.5], [-0.65, -0.375]])
+    short = "it may rest .* cm short, .* break (convexity|separation): "
     for friction, words in ((0.2, "p0 over-travels"), (0.8, "p0 does not settle")):
         remark = slid(Morph(nearly_flat), friction=friction).phases[-1].remark
-        assert re.match(f"{words}.* it may rest .* cm short, .* break convexity: ", remark)
+        assert re.match(f"{words}.* {short}", remark)
 
 
 def test_settling_follows_where_cables_slid_and_stop() -> None:
@@ -429,7 +430,8 @@ def test_vertices_without_room_to_over_travel_are_named_or_refused() -> None:
     """
     still = slid(Hold(1.0)).at(0.0).positions
     walls = ho.Arena(still.min(axis=0) - 0.005, still.max(axis=0) + 0.005)
-    tight = slid(Settle(), arena=walls)
+    loose = ho.Limits(rest_shift=0.5)
+    tight = slid(Settle(), arena=walls, limits=loose)
     remark = re.search(r"p\d does not settle; it may rest (.*) cm .* arena", tight.phases[0].remark)
     assert remark is not None
     short = 0.01 * float(remark[1])
@@ -449,6 +451,40 @@ def test_vertices_without_room_to_over_travel_are_named_or_refused() -> None:
         changed = ho.solve(suggestion.change.problem)
         assert changed.certificate.certified
         assert changed.duration == pytest.approx(suggestion.duration)
+
+
+NEARLY_FLAT = ho.ConvexPolygon([[0.3, 0.75], [0.8, 0.5], [-0.35, -0.375]])
+
+
+def test_requested_over_travels_that_leave_vertices_far_off_are_refused() -> None:
+    """Automatic ones are planned with a note, and requested ones where a limit allows more."""
+    team = ho.Team(3, 2.4, tension=0.5, cable_friction=0.2)
+    start = ho.HitchStart(NEARLY_FLAT, 1.0)
+    with pytest.raises(ho.InfeasibleError, match=r"rest_shift: .* limit of 0.05 m at p") as caught:
+        planned((Settle(),), start, team, {})
+    assert caught.value.violations[1].constraint == "convexity"
+    accepted = planned((Settle(),), start, team, {"limits": ho.Limits(rest_shift=0.9)})
+    assert re.search("it may rest .* cm short", accepted.phases[0].remark)
+
+    sliding = Morph(ho.ConvexPolygon([[0.0, 0.75], [0.5, 0.5], [-0.65, -0.375]]))
+    automatic = slid(sliding, Hold(1.0), friction=0.8)
+    (note,) = [each for each in automatic.notes if each.startswith("friction may hold p")]
+    assert f"{100.0 * automatic.certificate['rest_shift'].worst:.2g} cm off the plan" in note
+    with pytest.raises(ho.InfeasibleError, match=r"rest_shift|duration"):
+        slid(replace(sliding, settle=30.0), friction=0.8)
+
+
+@pytest.mark.slow
+def test_smoother_cables_are_suggested_where_over_travels_do_not_settle() -> None:
+    team = ho.Team(3, 2.4, tension=0.5, cable_friction=(0.1, 0.2))
+    refused = ho.Problem(team, ho.HitchStart(NEARLY_FLAT, 1.0), (Settle(),))
+    (smoother,) = [
+        each for each in ho.suggestions(refused) if each.change.key == "team.cable_friction"
+    ]
+    least, largest = np.array(smoother.change.edits[0].value)
+    assert largest == pytest.approx(2.0 * least, rel=1e-6)
+    assert largest < 0.15
+    assert ho.solve(smoother.change.problem).certificate.certified
 
 
 def test_settling_needs_friction() -> None:
