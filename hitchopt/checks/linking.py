@@ -13,7 +13,7 @@ may fly inside the hanging cable of another.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import NamedTuple
 
@@ -56,6 +56,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices, true_runs
 
 MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
+JUMP_UNITS = "m", "m/s", "m/s²"  # Units of jumps of positions, velocities and accelerations
 MAX_LAID_GAP = 0.02  # [m] Largest distance of cables that lie on each other: their sags differ
 
 TIED_STATES = CLASPED_STATES - {CableState.CLASPING}
@@ -78,13 +79,14 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
         curves.append((span.legs.reshaped(-1, 1), leg_names))
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for curve, names in curves:
-        jumps = _jumps(curve, position_margin(motion))
-        cases.append(worst_at_joint(jumps, curve.breaks[1:], names))
+        for jumps, of in zip(_jumps(curve, position_margin(motion)), JUMP_UNITS, strict=True):
+            case = worst_at_joint(jumps, curve.breaks[1:], names)
+            cases.append(replace(case, unit=of))
     return max(cases, key=lambda case: case.worst)
 
 
 def _jumps(curve: PiecewisePolynomial, margin: float) -> Array:
-    """Return the largest jumps (joints, items) of positions, velocities and accelerations.
+    """Return the jumps (3, joints, items) of positions, velocities and accelerations.
 
     ``margin`` is the rounding error of positions [m].
     """
@@ -96,8 +98,7 @@ def _jumps(curve: PiecewisePolynomial, margin: float) -> Array:
     for order in (1, 2):
         rate_margin = derivative_margin(curve, order)
         jumps[order] += rate_margin[1:] + rate_margin[:-1]
-    largest: Array = np.maximum.reduce(jumps)
-    return largest
+    return jumps
 
 
 JUMPS = Evaluator(_largest_jump, formulas=(_largest_jump, _jumps))

@@ -29,7 +29,7 @@ class WorstCase:
     The quantity is close to it at ``time`` [s] and ``where``, names of drones, cables or vertices.
     ``size`` is the largest length that enters, as in ``with_tolerance``. ``limit`` replaces the
     rule's limit if items such as drones have their own limits. ``binding`` is the name of the check
-    that determines the quantity, if it follows from several.
+    that determines the quantity, if it follows from several. ``unit`` replaces the rule's unit.
     """
 
     worst: float
@@ -38,6 +38,7 @@ class WorstCase:
     size: float = 1.0
     limit: float | None = None
     binding: str = ""
+    unit: str = ""
 
     def check(self, quantity: Quantity, limit: float | None, gamma: float | None = None) -> Check:
         """Return the check of a quantity."""
@@ -46,7 +47,7 @@ class WorstCase:
             self.worst,
             limit if self.limit is None else self.limit,
             quantity.sense,
-            quantity.unit,
+            self.unit or quantity.unit,
             self.time,
             self.where,
             self.size,

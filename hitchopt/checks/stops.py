@@ -404,9 +404,9 @@ class StopTable:
 def stop_table(flight: Flight, limits: ClockLimits | None = None) -> StopTable:
     """Return stops that provably keep all limits of a flight, SPACING [s] from each other.
 
-    Each has the shortest of some candidate durations, by bisection; stops that end no sooner than a
-    later one are skipped. The end counts as rest if the drones are at rest there. ``limits`` are
-    those of the flight, if known.
+    They begin where the flight can be cut. Each has the shortest of some candidate durations, by
+    bisection; stops that end no sooner than a later one are skipped. The end counts as rest if the
+    drones are at rest there. ``limits`` are those of the flight, if known.
     """
     limits = limits or ClockLimits(flight)
     starts = _stop_starts(flight)
@@ -443,7 +443,8 @@ def _stop_starts(flight: Flight) -> Array:
     begin, end = flight.breaks[[0, -1]].tolist()
     max_stops = max(MAX_STARTS // flight.team.drones, MIN_STOPS)
     stops = max(1, int(min(np.ceil((end - begin) / SPACING), max_stops)))
-    return np.linspace(begin, end, stops + 1)[:-1]
+    starts = np.unique(flight.spaced(np.linspace(begin, end, stops + 1)[:-1]))
+    return starts[starts < end]
 
 
 def _feasible_stops(limits: ClockLimits, starts: Array, durations: Array) -> Flags:

@@ -47,7 +47,7 @@ from hitchopt.steps.tying import Release
 from hitchopt.storage.archive import READ_ERRORS
 from hitchopt.storage.files import digest, file_bytes, parsed_json, replace_files, write_strict_json
 from hitchopt.trajectory.clock_phases import ClockPhases
-from hitchopt.trajectory.piecewise import on_breaks
+from hitchopt.trajectory.piecewise import TIME_ROUNDING, on_breaks
 from hitchopt.values import Array, check_choice, lazy, nonnegative, positive
 
 How = Literal["hold", "back", "release_and_land", "land"]
@@ -394,14 +394,20 @@ def until_stop(flight: Flight, time: float, *, stop: bool = True) -> StoppedPlan
     its duration.
     """
     whole = flight.untimed
-    player = Player(flight, time)
     parts = list[Flight]()
-    seconds = player.pause() if stop else 0.0
-    clock = player.ahead
+    cut = float(flight.spaced(time))
+    while True:
+        time = cut
+        player = Player(flight, time)
+        seconds = player.pause() if stop else 0.0
+        clock = player.ahead
+        if len(clock) and not np.any(clock.jets[0, 2:]):  # first at the plan's own rate
+            time += float(clock.duration[0])
+            clock = clock.select(slice(1, None))
+        cut = float(flight.spaced(time))
+        if cut - time <= TIME_ROUNDING:
+            break
     player.step(seconds)
-    if len(clock) and not np.any(clock.jets[0, 2:]):  # the first phase is at the plan's own rate
-        time += float(clock.duration[0])
-        clock = clock.select(slice(1, None))
     if time > JOINT:
         parts.append(whole.each_team(lambda motion: truncated(motion, time)))
     if len(clock):

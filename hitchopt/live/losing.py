@@ -26,7 +26,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import HOLD, Aborts
 from hitchopt.motion.flight import Flight, TeamMotion, team_label
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase, concatenated
-from hitchopt.motion.retiming import MIN_SPACING, padded, resting, shifted, slice_time
+from hitchopt.motion.retiming import padded, resting, shifted, slice_time
 from hitchopt.motion.states import fitted_hitch
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.forming.stages import (
@@ -47,7 +47,7 @@ from hitchopt.planners.reactions import (
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import MIN_SPACING, on_breaks, on_spaced_breaks
 from hitchopt.values import Array, check_choice, known, nonnegative
 
 CHAIN = "chain"  # Name of the team that remains, if the plan's team has none
@@ -348,11 +348,12 @@ def _leaving(reaction: Reaction, planned: Motion, reacts: float) -> Motion:
     chain = reaction.chain
     lift = _lift_from(reaction.lift, reacts)
     end = max(planned.duration, lift.duration)
-    path = padded(planned, 0.0, end).drones
-    breaks = merged_breaks([path.breaks, lift.breaks])
-    path = on_breaks(path, breaks)
-    lift = on_breaks(_held_until(lift, end), breaks)
-    rising, lifted = same_degree(path.coefficients[:, chain.lost], lift.coefficients)
+    lift = _held_until(lift, end)
+    path = on_spaced_breaks(padded(planned, 0.0, end).drones, lift.breaks)
+    breaks = path.breaks
+    rising, lifted = same_degree(
+        path.coefficients[:, chain.lost], on_breaks(lift, breaks).coefficients
+    )
     rising[:, :, 2] += lifted
     above = reaction.drones[chain.lost] + [0.0, 0.0, reaction.rise]
     limits = chain.need.limits.with_reserve

@@ -23,6 +23,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenate_clocks
+from hitchopt.trajectory.piecewise import MIN_SPACING
 from hitchopt.values import Array, Indices, counted, finite, nonnegative
 from hitchopt.values.fields import suggest_keywords
 
@@ -430,7 +431,7 @@ def _to_time(goal: float, first_part: ClockProfile, duration: float) -> Iterator
         return
     if profile.rate != 0.0:
         delay = (goal - profile.time) / profile.rate - 0.5 * duration
-        if delay >= 0.0:
+        if delay >= MIN_SPACING:
             yield profile.then(delay).to(0.0, duration)
         profile = profile.to(0.0, duration)
     change = goal - profile.time
@@ -438,7 +439,7 @@ def _to_time(goal: float, first_part: ClockProfile, duration: float) -> Iterator
         yield profile
         return
     for max_rate in SEEK_RATES:
-        rate = math.copysign(min(max_rate, abs(change) / duration), change)
+        rate = math.copysign(min(max_rate, abs(change) / (duration + MIN_SPACING)), change)
         yield profile.to(rate, duration).then(change / rate - duration).to(0.0, duration)
 
 

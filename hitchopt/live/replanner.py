@@ -42,13 +42,11 @@ from hitchopt.planners.path import cable_along
 from hitchopt.planners.rests import rest_motion
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.piecewise import MIN_SPACING, spaced
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, check_instance, finite, integer, nonnegative, points
 from hitchopt.values.fields import suggest_keywords
 
-# Minimum part of a piece of the current plan that is flown [s]: derivatives of shorter pieces have
-# rounding errors
-MIN_PIECE = 1e-3
 HOLD = 1.0  # duration of the rest at the start of steering [s]
 STATE_TOLERANCE = 1e-6  # tolerance of the model's drone positions [m] and tensions [N]
 DELAYS = (0.0, 0.05, 0.1, 0.2, 0.4)  # candidate delays before leaving the current plan [s]
@@ -300,14 +298,12 @@ class Replanner(OneLine):
         """Return the current plan up to a time [s]; after its end the hitch rests."""
         duration = self.motion.duration
         breaks = self.motion.drones.breaks
-        if at > duration + MIN_PIECE:
+        if at > duration + MIN_SPACING:
             phase = replace(self.motion.phases[-1], name="hold", remark="")
             return append_motion(self.motion, resting(self.motion, at - duration, phase))
         if at > duration - 1e-6:
             return self.motion
-        piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
-        first, last = breaks[piece : piece + 2].tolist()
-        return truncated(self.motion, max(at, min(first + MIN_PIECE, last)))
+        return truncated(self.motion, max(float(spaced(at, breaks)), MIN_SPACING))
 
 
 def _departures(pasts: Sequence[Motion], limits: Limits) -> Iterator[_Departure | str]:

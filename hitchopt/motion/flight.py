@@ -14,7 +14,7 @@ from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.drones.controllers import Tube
 from hitchopt.errors import InputError, OneLine
@@ -35,7 +35,7 @@ from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.storage.archive import folded
 from hitchopt.support import REFUSALS, Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks, spaced
 from hitchopt.values import Array, Indices, check_instance, counted, lazy, sequence
 from hitchopt.values.fields import keys_of
 
@@ -275,6 +275,19 @@ class Flight(OneLine):
 
         others = [replace(flown, motion=shifted(flown.motion, -start)) for flown in self.others]
         return replace(self.each_team(part), others=tuple(others))
+
+    def spaced(self, times: ArrayLike) -> Array:
+        """Return the first times [s], not before ``times``, up to which all motions can be cut.
+
+        No motion then has a piece so short that its derivatives suffer from rounding.
+        """
+        spaced_times = np.asarray(times, dtype=np.float64)
+        while True:
+            last = spaced_times
+            for flown in self.teams:
+                spaced_times = spaced(spaced_times, flown.motion.drones.breaks)
+            if np.array_equal(spaced_times, last):
+                return spaced_times
 
     def prolonged(self, seconds: float) -> Flight:
         """Return a flight that stays at rest at its end for some time, in its last phases."""

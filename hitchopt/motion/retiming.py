@@ -15,7 +15,7 @@ from hitchopt.hitch.series import JET, chained
 from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, concatenated
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
-from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, on_breaks
+from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, MIN_SPACING, on_breaks
 from hitchopt.values import Array, Indices
 
 
@@ -87,10 +87,6 @@ def stretched(motion: Motion, factor: float) -> Motion:
 
 MAX_PIECE = 0.1
 """[s] Longest piece: degree 7 fits the retimed curve on it to little more than rounding."""
-
-MIN_SPACING = 4e-3
-"""[s] Minimum distance of the plan's breaks from the clock's: derivatives on short pieces suffer
-from rounding."""
 
 INWARD = 1e-12
 """[s] Distance from a break at which the cell of the clock on one side of it is sought."""

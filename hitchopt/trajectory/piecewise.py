@@ -286,6 +286,26 @@ BREAK_TOLERANCE = 1e-7
 jump in jerk times 1e-21 s³, far below rounding."""
 
 
+TIME_ROUNDING = 1e-9  # [s] Rounding of times, by which they may be outside the breaks
+
+MIN_SPACING = 4e-3
+"""[s] Shortest piece that is cut, stopped or timed: derivatives on shorter ones suffer from
+rounding, by its square or cube."""
+
+
+def spaced(times: ArrayLike, breaks: Array) -> Array:
+    """Return the first times (…) [s], not before ``times``, up to which a curve can be cut.
+
+    These are breaks (pieces + 1,) [s], or MIN_SPACING or more after the last one before them.
+    """
+    wanted = np.asarray(times, dtype=np.float64)
+    index = np.searchsorted(breaks, wanted + TIME_ROUNDING, side="right") - 1
+    before = breaks[np.maximum(index, 0)]
+    after = breaks[np.minimum(index + 1, len(breaks) - 1)]
+    inside = np.minimum(np.maximum(wanted, before + MIN_SPACING), after)
+    return np.where(wanted <= before + TIME_ROUNDING, before, inside)
+
+
 def merged_breaks(arrays: Sequence[Array]) -> Array:
     """Return the sorted union of arrays of breaks (pieces + 1,) [s].
 
@@ -322,6 +342,24 @@ def on_breaks(part: PiecewisePolynomial, breaks: Array) -> PiecewisePolynomial:
     return part.replaced(coefficients, breaks)
 
 
+def on_spaced_breaks(part: PiecewisePolynomial, breaks: Array) -> PiecewisePolynomial:
+    """Return functions of degree 7 on ``breaks``, and on their own ones MIN_SPACING from these.
+
+    Pieces that contain another break of theirs keep values and two derivatives at their ends.
+    """
+    distances = np.min(np.abs(part.breaks[:, None] - breaks), axis=1)
+    merged = np.union1d(breaks, part.breaks[distances >= MIN_SPACING])
+    piece, _ = locate(part.breaks, 0.5 * (merged[1:] + merged[:-1]))
+    third = part.differentiated(3).coefficients[piece]
+    rates = np.moveaxis(part.jet(merged, 3), -1, 0)
+    ends = list[Array]()
+    for orders, times in ((rates[:, :-1], merged[:-1]), (rates[:, 1:], merged[1:])):
+        place = np.clip((times - part.breaks[piece]) / part.durations[piece], 0.0, 1.0)
+        place = place.reshape(-1, *(1,) * len(part.shape))
+        ends.append(np.concatenate([orders, bernstein.evaluate(third, place)[None]]))
+    return PiecewisePolynomial.hermite(merged, *ends)
+
+
 def summed(first: PiecewisePolynomial, second: PiecewisePolynomial) -> PiecewisePolynomial:
     """Return the sum of two functions on one span, whose shapes broadcast."""
     breaks = merged_breaks([first.breaks, second.breaks])
@@ -353,7 +391,7 @@ def _cells(own: bytes, breaks: bytes) -> tuple[Indices, Indices, Array, Array]:
 def locate(breaks: Array, times: Array) -> tuple[Indices, Array]:
     """Return the pieces (…) of times (…), and the local parameters (…) in them, from 0 to 1."""
     first, last = breaks[0], breaks[-1]
-    if not np.all((times >= first - 1e-9) & (times <= last + 1e-9)):
+    if not np.all((times >= first - TIME_ROUNDING) & (times <= last + TIME_ROUNDING)):
         raise InputError(
             "t", times, f"within [{first:g}, {last:g}] s", "pass times within the plan"
         )

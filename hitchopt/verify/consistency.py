@@ -17,6 +17,7 @@ from .plan import CLASPING, CONTACT_TOL, DRAWN, GROUNDED, LAID, LOOSE, ROLLING, 
 from .shapes import to_frame
 from .spans import RESOLUTION, Fault, Row, Spans, Worst, fault_row, worst_row
 
+JUMP_UNITS = "m", "m/s", "m/s²"  # of jumps of curves, and of their derivatives
 StateFault = tuple[bool, str]  # whether it applies, text
 
 
@@ -25,31 +26,39 @@ def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
 
     They ``rest`` at the start (0) or the end (-1) of the plan.
     """
-    yield worst_row("continuity", "m", 1e-6, [*curve_jumps(p), *rates_at_rest(p, rests)])
+    jumps_by_unit = [*curve_jumps(p), *rates_at_rest(p, rests)]
+    worst, unit = max(jumps_by_unit, key=lambda each: each[0][0], default=((0.0, 0.0, ""), "m"))
+    yield worst_row("continuity", unit, 1e-6, [worst])
     if p.n:
         yield worst_row("tension", "N", 1e-4, [*force_jumps(p), *range_errors(p)])
 
 
-def curve_jumps(p: Plan) -> Iterator[Worst]:
-    """Yield the sums of jumps of curves and of two derivatives; of cables between taut pieces."""
+def curve_jumps(p: Plan) -> Iterator[tuple[Worst, str]]:
+    """Yield the sums of jumps of curves and of two derivatives, with their units.
+
+    Jumps of cables count between taut pieces.
+    """
     bodies = [body.name for body in p.bodies]
     both_taut = (p.taut[1:] & p.taut[:-1])[:, None]
-    for k in range(3):
+    for k, unit in enumerate(JUMP_UNITS):
         points = p.points.c[k]
-        yield from total_jump(jumps_of(points[:, : p.N]), p, p.names)
-        yield from total_jump(jumps_of(p.poses.c[k]), p, bodies)
-        yield from total_jump(jumps_of(points[:, p.V]) * both_taut, p, p.labels[p.V])
-        yield from total_jump(jumps_of(p.legs.c[k]) * both_taut, p, p.names)
+        for jumps, names in (
+            (jumps_of(points[:, : p.N]), p.names),
+            (jumps_of(p.poses.c[k]), bodies),
+            (jumps_of(points[:, p.V]) * both_taut, p.labels[p.V]),
+            (jumps_of(p.legs.c[k]) * both_taut, p.names),
+        ):
+            yield from ((worst, unit) for worst in total_jump(jumps, p, names))
 
 
-def rates_at_rest(p: Plan, rests: Sequence[int]) -> Iterator[Worst]:
-    """Yield speeds and accelerations of drones and objects at ends at which they rest."""
+def rates_at_rest(p: Plan, rests: Sequence[int]) -> Iterator[tuple[Worst, str]]:
+    """Yield speeds and accelerations at ends at which drones and objects rest, with units."""
     bodies = [body.name for body in p.bodies]
     for k, end in product((1, 2), rests):
         time = float(p.breaks[end])
         for curve, names in ((p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)):
             for rate, name in zip(norm(curve[end, ..., end]).tolist(), names, strict=True):
-                yield rate, time, name
+                yield (rate, time, name), JUMP_UNITS[k]
 
 
 def force_jumps(p: Plan) -> Iterator[Worst]:

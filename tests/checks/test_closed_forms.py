@@ -294,6 +294,7 @@ def test_jumps_of_position_velocity_and_acceleration(power: int, jump: float) ->
     assert row(motion, "continuity").worst < 1e-10
     assert check.worst == pytest.approx(jump, rel=1e-6)
     assert (check.time, check.where, check.holds) == (0.5, ("r0",), False)
+    assert check.unit == ["m", "m/s", "m/s²"][power]
     whole = row(held_at(triangle(), [0.0, 1.0]), "continuity")  # a single piece: no joint
     assert (whole.worst, whole.holds) == (0.0, True)
 

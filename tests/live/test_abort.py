@@ -18,11 +18,12 @@ from hitchopt.cli.planning import PACKAGE
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.simulation.task import TeamTask
-from hitchopt.live.abort import Aborts, abort_table
+from hitchopt.live.abort import Aborts, abort_table, until_stop
 from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, survivable
 from hitchopt.motion.motion import CableState, Phase
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import MIN_SPACING
 from tests.helpers.plans import planned
 
 
@@ -89,6 +90,19 @@ def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, 
         assert last.formed == (how == "land" and name != "swarms/head_on")
     if name == "leaning":  # they stand straight where the plan rests
         assert (found.start, found.seconds) == (plan.duration, 0.0)
+
+
+@pytest.mark.parametrize("name", ["triangle", "form_triangle", "leaning", "two_teams"])
+def test_stops_right_after_breaks_leave_no_short_pieces(name: str) -> None:
+    flight = aborts_of(name).flight
+    rng = np.random.default_rng(5)
+    offs = [1e-8, 1e-6, 9.5e-5, 1e-3, 3.5e-3]
+    own = [np.min(flown.motion.drones.durations) for flown in flight.teams]
+    for time in rng.choice(flight.breaks[:-1], 6) + rng.choice(offs, 6):
+        stop = until_stop(flight, float(time))
+        assert stop.start >= time - 1e-7
+        for flown, shortest in zip(stop.flight.teams, own, strict=True):
+            assert np.min(flown.motion.drones.durations) >= 0.9 * min(MIN_SPACING, shortest)
 
 
 def test_no_rest_while_tensions_rise() -> None:

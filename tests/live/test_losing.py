@@ -25,6 +25,7 @@ from hitchopt.motion.flight import TeamMotion
 from hitchopt.motion.motion import CableState, HoldBy, PhaseHold
 from hitchopt.planners.losses import after_loss
 from hitchopt.planners.reactions import DELAY, prepared_stops
+from hitchopt.trajectory.piecewise import MIN_SPACING
 
 STEP = 0.01
 
@@ -128,6 +129,30 @@ def test_what_survives_has_a_certified_reaction(robots: int, seed: int, tmp_path
     assert all(answer.certificate.certified for answer in answers)
     rows = second.verify(answers[seed % robots].save(tmp_path, picture=False))
     assert {row.verdict for row in rows} <= second.PASSING
+
+
+@pytest.mark.parametrize(
+    "off", [1e-6, 9.5e-5, 2e-3, *(pytest.param(x, marks=pytest.mark.slow) for x in (1e-8, 1e-5))]
+)
+def test_losses_right_after_breaks_have_a_certified_reaction(off: float) -> None:
+    """Also where a prepared stop begins there: no piece that moves is too short."""
+    flight = square(0.008).flight
+    breaks = flight.breaks[1:-1]
+    rng = np.random.default_rng(int(1e9 * off))
+    starts = np.array([stop.start for stop in prepared_stops(flight)])
+    for time in rng.choice(breaks, 3) + off:
+        found = after_loss_of(flight, str(rng.integers(4)), float(time))
+        assert found.certificate.certified
+        assert min(map(shortest_moving_piece, found.flight.teams)) >= 0.9 * MIN_SPACING
+    since = starts - breaks[np.maximum(np.searchsorted(breaks, starts, side="right") - 1, 0)]
+    assert np.all((since <= 0.0) | (since >= 0.9 * MIN_SPACING))
+
+
+def shortest_moving_piece(flown: TeamMotion) -> float:
+    """Return the duration [s] of the shortest piece on which a drone moves."""
+    drones = flown.motion.drones
+    moves = np.max(np.ptp(drones.coefficients, axis=-1), axis=(1, 2)) > 0.0
+    return float(np.min(drones.durations[moves]))
 
 
 @pytest.mark.slow

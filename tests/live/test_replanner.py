@@ -15,6 +15,7 @@ from hitchopt.live.replanner import Retarget
 from hitchopt.motion.motion import Phase
 from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import MIN_SPACING
 from hitchopt.values import Array
 from tests.helpers.plans import planned
 
@@ -202,7 +203,7 @@ def test_plans_can_be_left_just_after_a_break(late: float) -> None:
     at = float(replanner.motion.drones.breaks[3]) + late
     answer = replanner.retarget(to=[0.3, 0.2, 1.1], yaw=0.4, at=at)
     assert answer.accepted, answer.reason
-    assert at - 1e-9 <= answer.start <= at + 1e-3
+    assert at - 1e-9 <= answer.start <= at + MIN_SPACING
     assert answer.plan.certificate.certified
     for check in certify(answer.ahead.untimed, reports=()).checks:
         rough = answer.certificate[check.name]

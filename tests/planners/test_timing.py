@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
@@ -20,6 +20,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import load_problem
 from hitchopt.motion.motion import Motion
+from hitchopt.planners.forming.stages import straight_lines
 from hitchopt.planners.path import Path
 from hitchopt.planners.timing import stretch
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
@@ -41,6 +42,7 @@ from hitchopt.planners.timing.timed_motion import (
     motion_in_parts,
 )
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import MIN_SPACING
 from hitchopt.values.fields import with_fields
 from problems.random_morph import irregular_pairs, random_convex_polygon
 from tests.helpers.plans import PROBLEMS, planned
@@ -51,9 +53,52 @@ from tests.helpers.plans import PROBLEMS, planned
 def test_fastest_ramps_are_those_of_the_clock(d: float, v: float, a: float, j: float) -> None:
     """By ruckig, another library."""
     (duration,), (rise,) = fastest_ramps(np.array([d]), v, a, j)
-    assert duration == pytest.approx(fastest_clock(d, v, a, j).duration, rel=1e-6)
+    clock = fastest_clock(d, v, a, j)
+    phases = np.array([min(a / j, 0.5 * rise), rise - 2.0 * a / j, duration - 2.0 * rise])
+    if np.all((phases < 1e-12) | (phases > MIN_SPACING)):
+        assert duration == pytest.approx(clock.duration, rel=1e-6)
+    assert duration <= clock.duration * (1.0 + 1e-6)
     assert 2.0 * rise <= duration * (1.0 + 1e-12)
     assert d <= v * (duration - rise) * (1.0 + 1e-9)
+
+
+@given(
+    st.floats(1e-5, 1e2),
+    st.floats(1e-2, 30.0),
+    st.floats(0.1, 30.0),
+    st.floats(-3.0, 4.0).map(lambda exponent: 10.0**exponent),
+)
+@settings(max_examples=200)
+@example(0.6, 1.0, 5.0, 1e4)
+def test_no_phase_of_a_clock_is_too_short_for_its_derivatives(
+    d: float, v: float, a: float, j: float
+) -> None:
+    clock = fastest_clock(d, v, a, j)
+    assert np.min(clock.durations) >= MIN_SPACING
+    for order, limit in ((1, v), (2, a), (3, j)):
+        assert np.max(np.abs(clock.at(clock.breaks, order))) <= limit * (1.0 + 1e-6)
+    (fastest,) = fastest_ramps(np.array([d]), v, a, j).durations
+    assert clock.duration <= 1.1 * fastest + 16.0 * MIN_SPACING
+
+
+@pytest.mark.parametrize("jerk", [0.03, 700.0, 4e3, 1e4])
+def test_limits_of_jerk_over_their_range_leave_no_jumps(jerk: float) -> None:
+    """Of tied hitches that move, and of lines, whose clocks ruckig makes."""
+    limits = Limits(jerk=jerk, acceleration=5.0)
+    start = Hitch.spread(Team(3, 2.4), [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], altitude=1.5)
+    motion = ho.solve(start, ho.Transport(to=[5.2, -3.1, 1.7]), limits=limits).motion
+    lines = straight_lines(start.team, limits, start.drones, start.drones + [0.01, 3.0, 0.2])
+    for flown in (motion, motion.single(start.team, motion.requirements, lines, [])):
+        assert np.min(flown.drones.durations) >= 0.5 * MIN_SPACING
+        assert RULE_OF["continuity"].check(flown).worst <= 1e-7
+
+
+@pytest.mark.slow
+def test_a_hitch_is_formed_with_the_largest_jerk() -> None:
+    q, r = ([[x, 1.2 * k, 0.0] for k in (-1, 0, 1)] for x in (-0.6, 0.6))
+    polygon = [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]]
+    plan = ho.form(Team(3, 2.4), q, r, polygon, altitude=1.5, limits=Limits(jerk=1e4))
+    assert plan.certificate["continuity"].worst <= 1e-7
 
 
 def ends(

@@ -11,7 +11,14 @@ from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import PiecewisePolynomial, joined
-from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import (
+    BREAK_TOLERANCE,
+    MIN_SPACING,
+    merged_breaks,
+    on_breaks,
+    on_spaced_breaks,
+    spaced,
+)
 from hitchopt.trajectory.splines import bspline, evenly_interpolated, interpolated
 from tests.helpers.refusals import assert_refused
 
@@ -188,3 +195,45 @@ def test_breaks_close_to_the_first_array_are_dropped(times: list[float]) -> None
     assert np.all(np.diff(merged) > 0.0)
     assert all(t in first or np.min(np.abs(first - t)) > BREAK_TOLERANCE for t in merged)
     assert all(np.min(np.abs(merged - t)) <= BREAK_TOLERANCE for t in other)
+
+
+@given(
+    st.lists(st.floats(0.0, 0.1), min_size=2, max_size=9, unique=True),
+    st.floats(0.0, 1.0),
+    st.sampled_from([0.0, 1e-12, 1e-6, 1e-4, 3e-3, 5e-3]),
+)
+def test_times_are_spaced_from_the_breaks_before_them(
+    times: list[float], share: float, later: float
+) -> None:
+    breaks = np.array([0.0, *(0.01 + np.cumsum(np.array(times) + 1e-5))])
+    after_a_break = breaks[int(share * (len(breaks) - 1))] + later
+    wanted = np.clip([share * breaks[-1], after_a_break], 0.0, breaks[-1])
+    found = spaced(wanted, breaks)
+    assert np.all(found >= wanted - 1e-9)
+    assert np.all(found <= wanted + MIN_SPACING + 1e-9)
+    since = found - breaks[np.searchsorted(breaks, found, side="right") - 1]
+    assert np.all((since == 0.0) | (since >= MIN_SPACING * (1.0 - 1e-9)))
+    np.testing.assert_array_equal(spaced(found, breaks), found)
+
+
+@pytest.mark.parametrize("off", [1e-9, 1e-5, 9.5e-5, 2e-3, 3.9e-3, 5e-3])
+def test_breaks_close_to_others_are_left_out_without_jumps(off: float) -> None:
+    breaks = np.array([0.0, 0.11, 0.2, 0.35])
+    jets = np.array([[1.5, 0.4, -0.3]])
+    for seconds, jerk in zip(np.diff(breaks), (6.0, -9.0, 4.0), strict=True):
+        powers = jerk * seconds ** np.arange(3, 0, -1) / [6.0, 2.0, 1.0]
+        place, speed, rate = jets[-1]
+        moved = [place + seconds * (speed + 0.5 * seconds * rate), speed + seconds * rate, rate]
+        jets = np.append(jets, [moved + powers], axis=0)
+    part = PiecewisePolynomial.through_jets(breaks, jets[:, None]).elevated(7)
+    wanted = np.array([0.0, 0.11 - off, 0.2 + off, 0.3, 0.35])
+    found = on_spaced_breaks(part, wanted)
+    assert np.min(np.diff(found.breaks)) >= min(MIN_SPACING, 0.05)
+    assert set(wanted) <= set(found.breaks)
+    t = np.linspace(0.0, 0.35, 500)
+    for order, most in ((0, 2e-5), (1, 1e-3), (2, 6e-2)):
+        left, right = found.ends(order)
+        np.testing.assert_allclose(left[1:], right[:-1], atol=1e-8)
+        np.testing.assert_allclose(found.at(t, order), part.at(t, order), atol=most)
+        if off > MIN_SPACING or off < BREAK_TOLERANCE:  # exact
+            np.testing.assert_allclose(found.at(t, order), part.at(t, order), atol=1e-7)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +15,13 @@ from hitchopt.hitch.series import chained
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advance
-from hitchopt.trajectory.piecewise import divided
+from hitchopt.trajectory.piecewise import MIN_SPACING, divided
 from hitchopt.values import Array
 
-MIN_PHASE = 5e-4  # [s] Shortest phase whose derivatives are accurate
-
 LIMIT_FACTORS = (1.0, 0.98, 0.96)
-"""Factors of limits that avoid shorter phases, in the order of the search."""
+"""Factors of limits that avoid short phases, in the order of the search."""
+
+MAX_HALVINGS = 100  # Largest number of halvings of the jerk that avoid short phases
 
 
 class RampTimes(NamedTuple):
@@ -66,8 +67,8 @@ def fastest_clock(
 ) -> PiecewisePolynomial:
     """Return the fastest profile from 0 to ``goal``, from rest to rest, a cubic per phase.
 
-    The phases are exact integrals of ruckig's jerks. LIMIT_FACTORS avoid phases that are so short
-    that their derivatives suffer from rounding.
+    The phases are exact integrals of ruckig's jerks. LIMIT_FACTORS, and then halves of the jerk,
+    avoid phases shorter than MIN_SPACING.
 
     Parameters
     ----------
@@ -79,10 +80,10 @@ def fastest_clock(
     task = InputParameter(1)
     task.current_position = [0.0]
     task.target_position = [goal]
-    for factor in LIMIT_FACTORS:
+    for halving, factor in product(range(MAX_HALVINGS), LIMIT_FACTORS):
         task.max_velocity = [factor * speed]
         task.max_acceleration = [factor * acceleration]
-        task.max_jerk = [jerk]
+        task.max_jerk = [0.5**halving * jerk]
         trajectory = Trajectory(1)
         result = Ruckig(1).calculate(task, trajectory)
         if result not in {Result.Working, Result.Finished}:
@@ -90,7 +91,7 @@ def fastest_clock(
         profile = trajectory.profiles[0][0]
         durations = np.array(profile.t, dtype=np.float64)
         is_phase = durations > 1e-9
-        if np.min(durations[is_phase]) >= MIN_PHASE:
+        if np.min(durations[is_phase]) >= MIN_SPACING:
             break
     durations = durations[is_phase]
     jerks = np.array(profile.j, dtype=np.float64)[is_phase]
