@@ -597,6 +597,6 @@ SURVIVABLE = CheckRule(
     "remain in balance; otherwise that of (drone, time) whose loss has a certified reaction, only "
     "by `check --survivable`",
     unproven="what falls; loose cables that swing sideways; phases without a taut hitch, and times "
-    "at which a plan does not stop before one (`after_loss` lists both)",
+    "at which a plan does not stop before one: `react` refuses these",
 )
 """The remaining cables are an open chain in balance, which its drones reach clear of all others."""

@@ -326,7 +326,8 @@ def check(
         record(without_reaction=[asdict(span) for span in unsurvivable])
     show_plan(saved.title, flight, certificate)
     _show_vertex_errors(flight)
-    record(certificate=certificate_content(flight, certificate, path))
+    content = certificate_content(flight, certificate, path)
+    record(certificate=content)
     for span in unsurvivable:
         say(f"{span.drone}, {span.start:.4g} s to {span.end:.4g} s: {span.reason}")
     if closest or picture is not None:
@@ -338,7 +339,7 @@ def check(
     certificate.raise_if_violated()
     reason = "differs from the table that was written with the certificate; solve again"
     changed = [f"{path.with_name(name)}: {reason}" for name in changed_tables(path.parent)]
-    changed += certificate_differences(path.parent, certificate)
+    changed += certificate_differences(path.parent, content)
     if changed := [*_changed_others(flight, path), *changed]:
         raise InfeasibleError((), "\n".join(changed))
     stated = ", ".join(rule.name for rule in certificate.not_recomputed)

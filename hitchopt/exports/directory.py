@@ -49,6 +49,13 @@ millimetres beside hanging cables."""
 
 ROUNDING = 1e-6  # Largest difference of worst values that are rounding errors
 
+TABLE_ROUNDING = 1.1e-3  # [m], [s] Largest difference of numbers in the table of losses, rounded
+
+AFTER_LOSS = "after_loss"  # Key of the table of losses
+
+COMPARED_APART = frozenset({"checks", "not_recomputed", "plan", "tables", AFTER_LOSS})
+"""Keys of ``certificate.json`` that are compared by rules of their own."""
+
 OWNED = (
     *(PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS, REPORT),
     *(STATICS, *STATICS_PICTURES, ABORTS, ABORT_PLANS),
@@ -104,7 +111,7 @@ def certificate_content(flight: Flight, certificate: Certificate, plan: Path) ->
     if any(flown.motion.requirements.limits.survive for flown in flight.teams):
         from hitchopt.planners.losses import after_loss
 
-        content["after_loss"] = after_loss(flight)
+        content[AFTER_LOSS] = after_loss(flight)
     return content | {"plan": digest(plan)}
 
 
@@ -143,8 +150,8 @@ def changed_tables(directory: Path) -> list[str]:
     return [file.name for file, value in tables if file.is_file() and digest(file) != value]
 
 
-def certificate_differences(directory: Path, certificate: Certificate) -> list[str]:
-    """Return messages on what ``certificate.json`` states otherwise than a recomputed certificate.
+def certificate_differences(directory: Path, recomputed: Mapping[str, Any]) -> list[str]:
+    """Return messages on what ``certificate.json`` states otherwise than ``certificate_content``.
 
     Worst values differ if they do by more than CLOSE of themselves and ROUNDING. Quantities that
     only one of both evaluated are compared if they have a limit. There is no difference without
@@ -153,13 +160,15 @@ def certificate_differences(directory: Path, certificate: Certificate) -> list[s
     path = directory / CERTIFICATE
     if not path.is_file():
         return []
-    expected = parsed_json(strict_json(certificate.to_dict()))
+    expected = parsed_json(strict_json(dict(recomputed)))
     try:
         content = parsed_json(file_bytes(path))
-        has_plan = content["plan"] == digest(directory / PLAN)
+        has_plan = content["plan"] == expected["plan"]
         stated, own = _stated_values(content), _stated_values(expected)
         off = [name for name in own | stated if not _agree(stated.get(name), own.get(name))]
-        off += [key for key in ("certified", "duration") if content[key] != expected[key]]
+        keys = sorted((content.keys() | expected.keys()) - COMPARED_APART)
+        off += [key for key in keys if content.get(key) != expected.get(key)]
+        off += [AFTER_LOSS] * (not _alike(content.get(AFTER_LOSS), expected.get(AFTER_LOSS)))
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         return [f"{path}: is not a certificate: {error!r}; solve again"]
     differences = [f"{path}: {name} is not as recomputed from {PLAN}; solve again" for name in off]
@@ -167,11 +176,29 @@ def certificate_differences(directory: Path, certificate: Certificate) -> list[s
 
 
 def _stated_values(content: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
-    """Return worst values, limits and further entries of checks and custom rules by their names."""
-    return {
+    """Return worst values, limits and further entries of checks and custom rules by their names.
+
+    Raises ValueError if a name is repeated.
+    """
+    entries = [*content["checks"], *content.get("not_recomputed", ())]
+    values = {
         entry["name"]: (entry["worst"], entry["limit"], entry.get("sense"), entry.get("gamma"))
-        for entry in (*content["checks"], *content.get("not_recomputed", ()))
+        for entry in entries
     }
+    if len(values) < len(entries):
+        raise ValueError("a check is repeated")
+    return values
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Return whether two tables agree, numbers within TABLE_ROUNDING."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_alike(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if type(one) is float and type(other) is float:
+        return abs(one - other) <= TABLE_ROUNDING
+    return type(one) is type(other) and bool(one == other)
 
 
 def _agree(one: tuple[Any, ...] | None, other: tuple[Any, ...] | None) -> bool:

@@ -8,8 +8,7 @@ and drones stay where they are, at the same tensions: exact for weights, unequal
 
 Between the loss and the new balance a drone of mass m, with gains kp and kd and the planned pull T
 fed forward, deviates by at most ``(T/kp) coth(π ζ / 2 √(1 - ζ²))``, ζ = kd / 2 √(kp m) (T/kp from ζ
-= 1 on), if its cable pulls with anything from 0 to 2 T along the planned direction. By energy
-alone, with set points at rest, it is ``(T/kp) (1 + √(2n - 2))`` for n cables.
+= 1 on), if its cable pulls with anything from 0 to 2 T along the planned direction.
 """
 
 from __future__ import annotations
@@ -111,10 +110,3 @@ def displacements(team: Team) -> Array:
     pulls = np.repeat(team.tension, 2)
     rigid = ~np.isfinite(team.stiffness)
     return np.asarray(pulls * np.max(np.where(rigid, np.inf, gains), axis=1))
-
-
-def displacement_by_energy(team: Team) -> float:
-    """Return the deviation [m] after a loss that no snap exceeds while set points stand still."""
-    pulls = np.repeat(team.tension, 2)[:, None]
-    root = 1.0 + math.sqrt(2.0 * team.robots - 2.0)
-    return float(np.max(pulls / team.stiffness)) * root

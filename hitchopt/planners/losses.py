@@ -2,91 +2,71 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hitchopt.checks.losses import AfterLoss, after_losses
-from hitchopt.hitch.losses import Losses, displacement_by_energy
+from hitchopt.hitch.losses import Losses
 from hitchopt.motion.flight import Flight, TeamMotion
-from hitchopt.motion.motion import JOINT, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.reactions import DELAY, Chain, PreparedStop, prepared_stops, rests_taut
-
-ASSUMPTION = "no other cable pulls with more than twice its tension, along the planned direction"
-"""What ``loss_displacement`` assumes."""
-
-CHAIN = "chain"
-TWO_PIECES = "two pieces, which hold nothing: all drop their cables and land"
-UNTIED = "nothing is tied: its drones drop their cable, and all land"
-SLACK = "nothing is taut: all drop their cables and land"
-MOVING = "the plan does not stop before its hitch is slack: all drop their cables and land"
 
 
 def after_loss(flight: Flight) -> dict[str, Any]:
-    """Return what remains after the loss of each robot, and in phases without a taut hitch.
+    """Return what follows the loss of each robot after which the others are a chain.
 
     Teams are those with ``limits.survive``, at least one.
     """
     teams = [each for each in flight.teams if each.motion.requirements.limits.survive is not None]
     stops = prepared_stops(flight)
-    return {
-        "assumes": ASSUMPTION,
-        "displacement_at_rest_by_energy": max(
-            displacement_by_energy(each.motion.team) for each in teams
-        ),
-        "robots": [row for each in teams for row in _robots(each, stops)],
-        "phases": [row for each in teams for row in (*_phases(each), *_moving(each, stops))],
-    }
+    return {"robots": [row for each in teams for row in _robots(each, stops)]}
 
 
 def _robots(flown: TeamMotion, stops: list[PreparedStop]) -> Iterator[dict[str, Any]]:
-    """Yield what remains after the loss of each robot while its hitch is taut.
+    """Yield the row of each robot: paths of the drones that move [m], and the time [s].
 
-    ``stops`` are those of the plan.
+    ``stops`` are those of the plan. There is no time if the plan never stops with a taut hitch.
     """
     motion = flown.motion
     team = motion.team
     parts = after_losses(motion)
-    names = [flown.label(str(number)) for number in team.labels]
-    survived = Losses.of(team.layout).robots.tolist()
-    answers = [each for each in _answers(motion, stops) if each.is_taut]
-    paths = {stop: stop.stopping(motion).drones for _, stop, _, _ in answers if stop.seconds}
-    for cable in team.edges.tolist() if parts else ():
-        if cable not in survived:
-            yield {"robot": names[cable], "remains": TWO_PIECES}
-            continue
-        ways = {
-            flown.label(name): round(way, 4) for name, way in sorted(_ways(parts, cable).items())
-        }
+    answers = [*_answers(motion, stops)]
+    paths = {stop: stop.stopping(motion).drones for _, stop in answers if stop.seconds}
+    for cable in Losses.of(team.layout).robots.tolist() if parts else ():
         chain = Chain(motion, cable)
         seconds = [
             DELAY + stop.start - stop.since + chain.reaction(run, stop.rest, paths.get(stop)).taut
-            for run, stop, _, _ in answers
+            for run, stop in answers
         ]
-        row = {"robot": names[cable], "remains": CHAIN, "ways": ways}
-        yield row | ({"seconds": round(max(seconds), 3)} if seconds else {})
+        ways = sorted(_ways(parts, cable).items())
+        row = {
+            "robot": flown.label(str(team.labels[cable])),
+            "ways": {flown.label(name): _rounded_up(way, 4) for name, way in ways},
+        }
+        yield row | ({"seconds": _rounded_up(max(seconds), 3)} if seconds else {})
 
 
-class _Answer(NamedTuple):
-    """A stop that answers losses in a part of a motion with a taut hitch."""
-
-    run: Motion  # The part
-    stop: PreparedStop  # The stop
-    times: tuple[float, float]  # [s] First and last time of these losses
-    is_taut: bool  # Whether the hitch rests as in this part
+def _rounded_up(value: float, decimals: int) -> float:
+    """Return a value rounded up to some decimals."""
+    return round(math.ceil(value * 10**decimals) / 10**decimals, decimals)
 
 
-def _answers(motion: Motion, stops: list[PreparedStop]) -> Iterator[_Answer]:
-    """Yield the stops that answer losses at all times with a taut hitch."""
+def _answers(motion: Motion, stops: list[PreparedStop]) -> Iterator[tuple[Motion, PreparedStop]]:
+    """Yield the parts of a motion with a taut hitch, with stops that answer losses in them.
+
+    The hitch rests as in the part.
+    """
     for part in after_losses(motion):
         run = part.motion
         begin, end = run.drones.breaks[[0, -1]].tolist()
         for stop in stops:
             first = max(begin, stop.since - DELAY)
             last = end if stop is stops[-1] else min(end, stop.start - DELAY)
-            if first <= last:
-                yield _Answer(run, stop, (first, last), rests_taut(run, motion, stop.rest))
+            if first <= last and rests_taut(run, motion, stop.rest):
+                yield run, stop
 
 
 def _ways(parts: tuple[AfterLoss, ...], cable: int) -> dict[str, float]:
@@ -98,22 +78,3 @@ def _ways(parts: tuple[AfterLoss, ...], cable: int) -> dict[str, float]:
             name = part.motion.team.drone_names[part.drone[row]]
             ways[name] = max(ways.get(name, 0.0), float(way))
     return ways
-
-
-def _phases(flown: TeamMotion) -> Iterator[dict[str, Any]]:
-    """Yield what remains in phases in which no hitch is taut."""
-    taut = [part.motion.drones.breaks[[0, -1]] for part in after_losses(flown.motion)]
-    for phase in flown.motion.phases:
-        middle = 0.5 * (phase.start + phase.end)
-        if any(start <= middle <= end for start, end in taut):
-            continue
-        remains = SLACK if phase.formed else UNTIED
-        yield {"phase": flown.label(phase.name), "start": phase.start, "remains": remains}
-
-
-def _moving(flown: TeamMotion, stops: list[PreparedStop]) -> Iterator[dict[str, Any]]:
-    """Yield when a taut hitch is slack before the plan stops after a loss."""
-    for _, _, (first, last), is_taut in _answers(flown.motion, stops):
-        if not is_taut:
-            phase = flown.label(flown.motion.overlapping(first - JOINT, last + 2.0 * JOINT)[0].name)
-            yield {"phase": phase, "start": first, "end": last, "remains": MOVING}

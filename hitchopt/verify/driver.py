@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from .cables import taut_cables
 from .consistency import consistency, jumps
 from .drones import drones
 from .links import interlacing
-from .losses import losses, read_stated
+from .losses import Stated, losses, read_stated
 from .objects import clear_held, clear_objects, gripped, resting, steady
 from .plan import TAUT_TOL, Plan
 from .reading import UnreadableError, read
@@ -97,19 +96,21 @@ def stated_rules(p: Plan) -> Iterator[Row]:
 def verify(path: str | Path) -> Iterator[Row]:
     """Yield a row for every limit of a plan; UnreadableError if the file is not a plan."""
     path = Path(path)
-    own, others = read(path / "plan.npz" if path.is_dir() else path)
+    path = path / "plan.npz" if path.is_dir() else path
+    own, others = read(path)
     stated = None
     if any(p.limits.get("survive") for p in own):
         try:
-            stated = read_stated(path if path.is_dir() else path.parent)
-        except ValueError as error:
-            raise UnreadableError(str(error)) from error
+            stated = read_stated(path, own)
+        except Exception as error:  # malformed files raise many kinds
+            words = " ".join(f"certificate.json: {type(error).__name__}: {error}".split())
+            raise UnreadableError(words[:300]) from error
     yield from proofs(own, others, stated)
     yield from stated_rules(own[0])
 
 
 def proofs(
-    own: Sequence[Plan], others: Sequence[Plan], stated: dict[str, Any] | None = None
+    own: Sequence[Plan], others: Sequence[Plan], stated: Stated | None = None
 ) -> Iterator[Row]:
     """Yield a row for every limit of the plans of teams, next to other plans.
 

@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from hashlib import sha256
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,12 +37,13 @@ from .arithmetic import (
 )
 from .plan import HITCHED, Plan
 from .shapes import closest, distance, hull_distance, prism_gap
-from .spans import Row, Spans, fault_row, prove, worst_row
+from .spans import Fault, Row, Spans, fault_row, prove, worst_row
 
 TAUT_SHARE = 0.9  # least tension of a taut hitch, over the team's
 RISE = 2.1  # height of the rise of a lost robot's drones, over the semi-axis of ellipsoids
 SWEEPS = 4  # number of triangles that a chord sweeps on the way of its end
-STATED_TOL = 2e-3  # [m], [s] tolerance of the table ``after_loss``
+STATED_TOL = 2e-3  # [m] by how much stated paths may be longer than bounds
+REST_RATE = 1e-6  # [m/s], [m/s²] largest rate at rest
 REACTION = 0.1  # [s] from a loss until the others react
 TIGHTENING = 1.0, 3.0  # shortest rise of tensions: [s], and in periods of cables as strings
 DAMPING_RATIO = 5.0 / 6.0  # of loops of which only the stiffness is stated
@@ -76,10 +78,10 @@ def moves(p: Plan) -> Moves:
     return Moves(*np.array(rows, dtype=int).reshape(-1, 4).T)
 
 
-def losses(p: Plan, stated: Any = None) -> Iterator[Row]:
+def losses(p: Plan, stated: Stated | None = None) -> Iterator[Row]:
     """Prove that every loss is survived while a hitch is taut, if the plan says so.
 
-    ``stated`` is the content of ``certificate.json``, or None.
+    ``stated`` is what ``certificate.json`` states, or None.
     """
     if p.limits.get("survive") is None:
         return
@@ -91,11 +93,10 @@ def losses(p: Plan, stated: Any = None) -> Iterator[Row]:
     values = [(float(x), float(p.breaks[q]), names[i]) for (q, i), x in np.ndenumerate(jump)]
     yield worst_row("loss_displacement", "m", p.tube[0], values)
     rows, on = moves(p), taut_pieces(p)
-    if not np.any(on) or not len(rows.drone):
-        return
-    yield from AfterLosses(p, rows, on).proofs()
     if stated is not None:
         yield fault_row("after_loss", table_faults(p, rows, on, stated, float(np.max(jump))))
+    if np.any(on) and len(rows.drone):
+        yield from AfterLosses(p, rows, on).proofs()
 
 
 def taut_pieces(p: Plan) -> Mask:
@@ -470,36 +471,55 @@ def rest_rows(p: Plan, rows: Moves, on: Mask, rise: float) -> Iterator[Row]:
         yield prove("survivable 1 min", 1.0, drones, headroom)
 
 
-def table_faults(
-    p: Plan, rows: Moves, on: Mask, stated: dict[str, Any], jump: float
-) -> Iterator[tuple[float, bool, str]]:
+class Stated(NamedTuple):
+    """What ``certificate.json`` states of losses."""
+
+    worst: dict[str, float]  # worst values of checks
+    ways: dict[str, dict[str, float]]  # [m] longest paths of drones, by robot
+    seconds: dict[str, float]  # [s] time until tension is back, by robot
+
+
+def table_faults(p: Plan, rows: Moves, on: Mask, stated: Stated, jump: float) -> Iterator[Fault]:
     """Yield what a certificate states otherwise than follows from the plan."""
-    checks = {each["name"]: each for each in stated["checks"]}
-    bound = checks.get("loss_displacement", {}).get("worst")
-    yield 0.0, bound is None or bound < jump * (1.0 - 1e-6), "loss_displacement is understated"
-    shares = checks.get("survivable", {}).get("worst")
-    yield 0.0, shares is None, "survivable is missing"
-    table = {row["robot"]: row for row in stated.get("after_loss", {}).get("robots", [])}
+    bound = stated.worst.get("loss_displacement", -math.inf)
+    yield 0.0, bound < jump * (1.0 - 1e-6), "loss_displacement is understated"
+    lost = np.unique(rows.lost) if np.any(on) else []
+    names = {k: f"{p.label}{p.robot[k]}" for k in range(p.n)}
+    for k, name in names.items():
+        yield 0.0, (k in lost) != (name in stated.ways), f"robot {name} is missing, or too many"
+    lost = [k for k in lost if names[k] in stated.ways]
+    if not lost:
+        return
+    yield 0.0, "survivable" not in stated.worst, "survivable is missing"
     s = Spans.of(p, on, np.arange(len(rows.drone)))
     j = s.item[:, 0]
     with np.errstate(all="ignore"):
-        ways = norm((place_after(s, rows, j) - s.point(rows.drone[j])).v)
-    for lost in range(p.n):
-        row = table.get(f"{p.label}{p.robot[lost]}")
-        name = f"robot {p.label}{p.robot[lost]}"
-        yield 0.0, row is None, f"{name} is missing"
-        own = np.flatnonzero(rows.lost == lost)
-        if row is None or not len(own):
+        way = (place_after(s, rows, j) - s.point(rows.drone[j])).norm()
+    for k in lost:
+        name, of_drones = names[k], stated.ways[names[k]]
+        moved = {p.names[rows.drone[x]]: j == x for x in np.flatnonzero(rows.lost == k)}
+        if of_drones.keys() != moved.keys():
+            yield 0.0, True, f"robot {name}: other drones move"
             continue
-        told = row.get("ways", {})
-        moved = {p.names[rows.drone[x]]: float(np.max(ways[j == x])) for x in own}
-        yield 0.0, told.keys() != moved.keys(), f"{name}: other drones move"
-        short = [x for x in moved if told.get(x, 0.0) < moved[x] - STATED_TOL]
-        yield 0.0, bool(short), f"{name}: paths are longer"
-        least = least_seconds(p, rows, on, lost)
-        excused = bool(stated["after_loss"].get("phases"))
-        seconds = row.get("seconds", math.inf if excused else 0.0)
-        yield 0.0, seconds < least - STATED_TOL, f"{name}: tension takes at least {least:.2f} s"
+        for drone, own in moved.items():
+            too_short = of_drones[drone] < float(np.max(way.v[own])) - POS_TOL
+            yield 0.0, too_short, f"robot {name}: paths are longer"
+            too_long = of_drones[drone] > float(np.max(way.high[own])) * 1.01 + STATED_TOL
+            yield 0.0, too_long, f"robot {name}: paths are shorter"
+        least = least_seconds(p, rows, on, k)
+        unstated = math.inf if never_answered(p, on) else 0.0
+        seconds = stated.seconds.get(name, unstated)
+        yield 0.0, seconds < least, f"robot {name}: tension takes at least {least:.2f} s"
+
+
+def never_answered(p: Plan, on: Mask) -> bool:
+    """Return whether a plan moves at the end of each of its parts with a taut hitch.
+
+    Otherwise it stops there at the latest, and a loss is answered.
+    """
+    ends = np.flatnonzero(on & ~np.append(on[1:], False))
+    rates = [norm(p.points.c[k][ends, : p.N, :, -1]) for k in (1, 2)]
+    return bool(np.all(np.max(rates, axis=(0, 2)) > REST_RATE))
 
 
 def least_seconds(p: Plan, rows: Moves, on: Mask, lost: int) -> float:
@@ -540,12 +560,44 @@ def fastest_ramp(distance: float, speed: float, acceleration: float, jerk: float
     return 2.0 * rise(low)
 
 
-def read_stated(folder: Path) -> dict[str, Any] | None:
-    """Return the certificate beside a plan, or None."""
-    path = folder / "certificate.json"
-    if not path.is_file():
+def read_stated(plan: Path, teams: Sequence[Plan]) -> Stated | None:
+    """Return what the certificate beside a ``plan.npz`` states, or None without one.
+
+    Raises an error of any kind unless it is a certificate of this plan, for robots of its teams.
+    """
+    path = plan.with_name("certificate.json")
+    if plan.name != "plan.npz" or not path.exists():
         return None
-    content = json.loads(path.read_text("utf-8"))
-    if not isinstance(content, dict) or not isinstance(content.get("checks"), list):
-        raise ValueError("certificate.json is not a certificate")
+    content = json.loads(path.read_text("utf-8"), object_pairs_hook=without_repeats)
+    if content["plan"] != sha256(plan.read_bytes()).hexdigest():
+        raise ValueError("it is that of another plan.npz")
+    checks = without_repeats([(each["name"], each["worst"]) for each in content["checks"]])
+    (table,) = [content["after_loss"]]
+    if table.keys() != {"robots"} or content["certified"] is not True:
+        raise ValueError("after_loss has other keys than robots, or it is not certified")
+    robots = without_repeats([(row["robot"], row) for row in table["robots"]])
+    if not robots.keys() <= {f"{p.label}{k}" for p in teams for k in p.robot}:
+        raise ValueError("after_loss names robots that are none")
+    if any(not row.keys() <= {"robot", "ways", "seconds"} for row in robots.values()):
+        raise ValueError("after_loss has other keys than robot, ways and seconds")
+    ways = {name: row["ways"] for name, row in robots.items()}
+    return Stated(
+        {name: number(worst) for name, worst in checks.items() if worst is not None},
+        {name: {x: number(way) for x, way in each.items()} for name, each in ways.items()},
+        {name: number(row["seconds"]) for name, row in robots.items() if "seconds" in row},
+    )
+
+
+def without_repeats(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the dictionary of some pairs; raises ValueError if a key is repeated."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        raise ValueError("a key is repeated")
     return content
+
+
+def number(value: Any) -> float:
+    """Return a finite number; raises ValueError for anything else."""
+    if type(value) not in (int, float) or not math.isfinite(value):
+        raise ValueError(f"{value!r:.60} is not a number")
+    return float(value)

@@ -153,8 +153,7 @@ def test_the_certificate_states_what_remains() -> None:
     ways = table["robots"][1]["ways"]
     assert set(ways) == {"q2", "r0"}
     assert all(0.5 < way < 1.0 for way in ways.values())
-    assert table["phases"] == []
-    assert "twice its tension" in table["assumes"]
+    assert table.keys() == {"robots"}
 
 
 @pytest.mark.parametrize(

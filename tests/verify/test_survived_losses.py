@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -11,12 +13,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt import verify as second
+from hitchopt.cli import main
+from hitchopt.exports.directory import certificate_content, certificate_differences
+from hitchopt.hitch.losses import Losses, places_after_loss
 from hitchopt.motion.plan_file import write_plan
+from hitchopt.planners.losses import after_loss
+from hitchopt.storage.files import strict_json
 from hitchopt.verify import Row
-from hitchopt.verify.losses import Pairs, clasped_first, moves
+from hitchopt.verify.losses import Pairs, clasped_first, losses, moves, read_stated
 from hitchopt.verify.reading import read
 
 Content = dict[str, Any]
@@ -61,48 +69,128 @@ def test_both_prove_that_losses_are_survived(
     assert rows["after_loss"].verdict == "proven"
 
 
-def _other_drones(content: Content) -> None:
-    ways = content["after_loss"]["robots"][1]["ways"]
-    content["after_loss"]["robots"][1]["ways"] = {"q0": ways["q2"], "r2": ways["r0"]}
+Saved = tuple[Path, ho.Plan, second.Plan]  # A plan in a folder, and as the verifier reads it
 
 
-def _shorter_way(content: Content) -> None:
-    content["after_loss"]["robots"][0]["ways"]["q1"] -= 0.1
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Saved:
+    folder = tmp_path_factory.mktemp("saved")
+    own = plan(3, 2.4, 0.0)
+    own.save(folder, picture=False)
+    ((read_plan,), _) = read(folder / "plan.npz")
+    return folder, own, read_plan
 
 
-def _sooner(content: Content) -> None:
-    content["after_loss"]["robots"][2]["seconds"] *= 0.5
+def recomputed(own: ho.Plan, folder: Path) -> Content:
+    return certificate_content(own.flight, own.certificate, folder / "plan.npz")
 
 
-def _never(content: Content) -> None:
-    del content["after_loss"]["robots"][2]["seconds"]
+def believers(text: str, tmp_path: Path, saved: Saved) -> set[str]:
+    """Return which of both commands believe a certificate, by what they compare."""
+    folder, own, read_plan = saved
+    shutil.copy(folder / "plan.npz", tmp_path)
+    (tmp_path / "certificate.json").write_text(text, "utf-8")
+    found = set[str]()
+    if not certificate_differences(tmp_path, recomputed(own, tmp_path)):
+        found.add("check")
+    try:
+        stated = read_stated(tmp_path / "plan.npz", [read_plan])
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return found
+    rows = losses(read_plan, stated)
+    row = next(row for row in rows if row.name == "after_loss")
+    return found | {"verify"} if row.verdict == "proven" else found
 
 
-def _robot_left_out(content: Content) -> None:
-    del content["after_loss"]["robots"][2]
+def drawn_lie(rng: np.random.Generator, content: Content) -> None:
+    """Change what a certificate states of losses, by a drawn kind, robot, drone and number."""
+    table = content["after_loss"]
+    row = table["robots"][rng.integers(len(table["robots"]))]
+    drone = sorted(row["ways"])[rng.integers(2)]
+    wrong = [math.nan, math.inf, -0.5, None, "0.7", True, [0.7], {}][rng.integers(8)]
+    share = float(rng.choice([rng.uniform(0.2, 0.995), rng.uniform(1.05, 3.0)]))
+    (jump,) = [each for each in content["checks"] if each["name"] == "loss_displacement"]
+    (survived,) = [each for each in content["checks"] if each["name"] == "survivable"]
+    low = {**row, "ways": dict.fromkeys(row["ways"], 0.01), "seconds": 0.1}
+    lies: list[Callable[[], object]] = [
+        lambda: row["ways"].update({drone: row["ways"][drone] * share}),
+        lambda: row["ways"].update({drone: wrong}),
+        lambda: row["ways"].pop(drone),
+        lambda: row["ways"].update({"q9": 0.5}),
+        lambda: row.update(ways={"q0": 0.6, "q1": 0.6}),
+        lambda: row.update(ways=[0.6, wrong]),
+        lambda: row.update(seconds=row["seconds"] * rng.uniform(0.05, 0.5)),
+        lambda: row.update(seconds=wrong),
+        lambda: row.pop("seconds"),
+        lambda: row.update(robot=["9", "a.0", 0, "", None][rng.integers(5)]),
+        lambda: row.update(remains="a hitch of three robots"),
+        lambda: table["robots"].insert(rng.integers(4), low),
+        lambda: table["robots"].append({**low, "robot": "9"}),
+        lambda: table["robots"].remove(row),
+        lambda: table.update(phases=["morph"]),
+        lambda: table.update(assumes="nothing"),
+        lambda: table.update(robots=wrong),
+        lambda: content.update(after_loss=wrong),
+        lambda: content.pop("after_loss"),
+        lambda: jump.update(worst=jump["worst"] * rng.uniform(0.1, 0.9)),
+        lambda: content["checks"].remove(survived),
+        lambda: content["checks"].append({**jump, "worst": 0.001}),
+    ]
+    lies[rng.integers(len(lies))]()
 
 
-def _lighter_drone(content: Content) -> None:
-    (check,) = [each for each in content["checks"] if each["name"] == "loss_displacement"]
-    check["worst"] *= 0.9
-
-
-def _unsaid(content: Content) -> None:
-    content["checks"] = [each for each in content["checks"] if each["name"] != "survivable"]
+@pytest.mark.parametrize("seed", range(40))
+def test_no_forged_table_is_believed(seed: int, tmp_path: Path, saved: Saved) -> None:
+    folder, own, _ = saved
+    content = json.loads(strict_json(recomputed(own, folder)))
+    assert believers(json.dumps(content), tmp_path, saved) == {"check", "verify"}
+    drawn_lie(np.random.default_rng(seed), content)
+    assert not believers(json.dumps(content), tmp_path, saved)
 
 
 @pytest.mark.parametrize(
-    "lie",
-    [_other_drones, _shorter_way, _sooner, _never, _robot_left_out, _lighter_drone, _unsaid],
+    "text",
+    [
+        *("", "{", "[]", "5", "null", '"certificate"', "\x00", "{}", "[" * 100_000),
+        *('{"checks": 5}', '{"checks": [5]}', '{"checks": [{}]}', '{"checks": null, "plan": 5}'),
+        '{"checks": [], "after_loss": {"robots": []}}',
+    ],
 )
-def test_lies_of_the_certificate_are_refused(
-    lie: Callable[[Content], None], tmp_path: Path
+def test_malformed_certificates_are_refused_in_words(
+    text: str, tmp_path: Path, saved: Saved
 ) -> None:
-    path = plan(3, 2.4, 0.0).save(tmp_path, picture=False) / "certificate.json"
-    content = json.loads(path.read_text("utf-8"))
-    lie(content)
-    path.write_text(json.dumps(content), "utf-8")
-    assert rows_of(tmp_path)["after_loss"].verdict == "violated"
+    assert not believers(text, tmp_path, saved)
+    with pytest.raises(second.UnreadableError, match=r"certificate\.json: "):
+        next(second.verify(tmp_path))
+
+
+@pytest.mark.parametrize("checks", [None, [1], [{"worst": 1}], [{"name": []}], {"a": 1}, "all"])
+def test_malformed_checks_are_refused_by_both_commands(
+    checks: object, tmp_path: Path, saved: Saved
+) -> None:
+    folder, own, _ = saved
+    content = recomputed(own, folder) | {"checks": checks}
+    assert not believers(json.dumps(content), tmp_path, saved)
+    for command, code in (("check", 3), ("verify", 2)):
+        done = CliRunner().invoke(main, [command, str(tmp_path)])
+        assert done.exit_code == code, done.output
+        assert "certificate.json" in done.stderr
+
+
+def test_stated_paths_suffice(saved: Saved) -> None:
+    """They are rounded up, so that samples of the plan's motion find no longer ones."""
+    _, own, _ = saved
+    motion = own.motion
+    rows = Losses.of(motion.team.layout)
+    times = np.random.default_rng(2).uniform(0.0, motion.duration, 400)
+    arrays = (motion.drones.at(times), motion.vertices.at(times), motion.tensions.at(times))
+    places, _ = places_after_loss(motion.team, *arrays)
+    sampled = np.max(np.linalg.norm(places - arrays[0][:, rows.drone], axis=-1), axis=0)
+    for row in after_loss(own.flight)["robots"]:
+        for drone, way in row["ways"].items():
+            place = motion.team.drone_names.index(drone)
+            (index,) = np.flatnonzero((rows.drone == place) & (rows.lost == int(row["robot"])))
+            assert sampled[index] <= way <= 1.01 * sampled[index] + 1e-4
 
 
 def _requirements(own: ho.Plan, **limits: object) -> ho.Motion:
