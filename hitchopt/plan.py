@@ -236,7 +236,8 @@ class Plan(OneLine):
         ----------
         robot: its number, or ``a.2`` of one of several teams.
         t: time at which it is lost, while a hitch is taut [s].
-        how: ``hold`` the chain, or ``land`` in order: untied, or else tied.
+        how: ``hold`` the chain, or ``land``: untied, or else tied, or else, with ``team.release``,
+            as single drones of the team ``lost`` that drop all cables when they stop.
 
         Raises
         ------

@@ -443,8 +443,9 @@ def _stop_starts(flight: Flight) -> Array:
     begin, end = flight.breaks[[0, -1]].tolist()
     max_stops = max(MAX_STARTS // flight.team.drones, MIN_STOPS)
     stops = max(1, int(min(np.ceil((end - begin) / SPACING), max_stops)))
-    starts: Array = np.unique(flight.spaced(np.linspace(begin, end, stops + 1)[:-1]))
-    return starts[starts < end]
+    starts = np.unique(flight.spaced(np.linspace(begin, end, stops + 1)[:-1]))
+    before_end: Array = starts[starts < end]
+    return before_end
 
 
 def _feasible_stops(limits: ClockLimits, starts: Array, durations: Array) -> Flags:

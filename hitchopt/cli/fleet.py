@@ -326,7 +326,12 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     ),
     option("--at", "Time of the loss.", float, "SECONDS", required=True),
     option("-o --output", "Output directory.", PATH, "OUT", required=True),
-    option("--then", "Hold the chain that remains, or untie it and land.", "hold", choices=THEN),
+    option(
+        "--then",
+        "Hold the chain that remains, or land: untied, tied, or without cables.",
+        "hold",
+        choices=THEN,
+    ),
 )
 def react(directory: Path, lose: str, at: float, output: Path, then: str) -> None:
     """Plan what follows the loss of a robot in flight, and certify it.
@@ -343,14 +348,18 @@ def react(directory: Path, lose: str, at: float, output: Path, then: str) -> Non
     plan = ho.Plan(found.flight, found.certificate, f"Robot {lose} lost at {at:g} s")
     show_plan(plan.title, plan.flight, plan.certificate)
     plan.save(output)
+    rests = f"all rest within {found.stops:.3f} s, where the plan is at t = {found.rest:.3f} s"
+    if found.robots:
+        say(
+            f"after the loss, {rests}; drones at the ends begin to move after {found.starts:.3f} "
+            f"s, and the chain is taut after {found.taut:.3f} s"
+        )
+        names = ", ".join(f"{own} is {old}" for own, old in found.robots.items())
+        say(f"robots: {names}")
+    else:
+        say(f"no landing of the chain is certified: all drop their cables, {rests}, and land")
     say(
-        f"after the loss, all rest within {found.stops:.3f} s, where the plan is at t = "
-        f"{found.rest:.3f} s; drones at the ends begin to move after {found.starts:.3f} s, and the "
-        f"chain is taut after {found.taut:.3f} s"
-    )
-    names = ", ".join(f"{own} is {old}" for own, old in found.robots.items())
-    say(
-        f"robots: {names}\ncertified; the plan is in {output}",
+        f"certified; the plan is in {output}",
         directory=str(output),
         stops=found.stops,
         rest=found.rest,

@@ -9,8 +9,10 @@ when. Until then cables are loose, as the check ``survivable`` assumes.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +22,7 @@ from hitchopt.checks.losses import taut_runs
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry.vectors import unit
-from hitchopt.hitch import Hitch
+from hitchopt.hitch import Hitch, Swarm
 from hitchopt.hitch.losses import Losses
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import HOLD, Aborts
@@ -48,7 +50,7 @@ from hitchopt.planners.reactions import (
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.piecewise import MIN_SPACING, on_breaks, on_spaced_breaks
-from hitchopt.values import Array, check_choice, known, nonnegative
+from hitchopt.values import Array, Indices, check_choice, known, nonnegative
 
 CHAIN = "chain"  # Name of the team that remains, if the plan's team has none
 LOST = "lost"  # Name of the team of both drones of the lost robot, after that of its team
@@ -60,7 +62,10 @@ NOTHING_BEARS = "without one of its cables all others are loose until they are a
 HOW = ("hold", "land")  # What follows once the chain is taut
 
 LANDINGS = ("release_and_land", "land")
-"""How a chain lands, in order: untied, or else straight down with its hitch."""
+"""How a chain lands, in order: untied, or else straight down with its hitch.
+
+If neither is certified, a team that can (``release``) drops all its cables, and its drones land.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +81,7 @@ class Remaining:
     stops: float  # [s] Time from the loss until the plan's clock has stopped
     rest: float  # [s] Plan time at which it has stopped
     starts: float  # [s] Time from the loss until drones at the ends of the chain begin to move
-    taut: float  # [s] Time from the loss until its tensions are back
+    taut: float  # [s] Time from the loss until its tensions are back; infinite without a chain
     rise: float  # [m] How far the lost robot's drones rise
     lift: PiecewisePolynomial  # (1,) [m] How far they have risen, until they are up
     robots: dict[str, str]  # Robots of the plan by those of the chain
@@ -117,18 +122,96 @@ def after_loss_of(flight: Flight, robot: str, time: float, how: str = "hold") ->
     stops = (stop for stop in prepared_stops(flight) if stop.start >= time + DELAY)
     ending = PreparedStop(flight.duration, flight.duration, 0.0)
     stop = next(stops, ending)
-    held = how == "hold"
-    found = _after_loss(flight, robot, time, stop, time, DELAY, not held)
-    if held:
-        return found
-    aborts = Aborts(found.flight)
+    if how == "hold":
+        return _after_loss(flight, robot, time, stop, time, DELAY, level=False)
+    with_chain = cache(partial(_after_loss, flight, robot, time, stop, time, DELAY, level=True))
+    dropped = partial(_all_dropped, flight, robot, time, stop)
 
-    def landed(how: str) -> Remaining:
-        flight = aborts.plan(found.flight.duration, how).flight
-        return replace(found, flight=flight, certificate=_certified(flight, robot, time))
+    def landed(before: Callable[[], Remaining], how: str) -> Remaining:
+        found = before()
+        landing = Aborts(found.flight).plan(found.flight.duration, how).flight
+        return replace(found, flight=landing, certificate=_certified(landing, robot, time))
 
-    candidates = (Candidate("landing", partial(landed, how)) for how in LANDINGS)
+    ends: list[tuple[str, Callable[[], Remaining]]] = [("landing", with_chain)]
+    if flight.teams[_place(flight, robot).team].motion.team.release:
+        ends.append(("landing without cables", dropped))
+    candidates = (
+        Candidate(name, partial(landed, before, how)) for name, before in ends for how in LANDINGS
+    )
     return first_certified(candidates, Effort())
+
+
+def _all_dropped(flight: Flight, robot: str, time: float, stop: PreparedStop) -> Remaining:
+    """Return the flight after a loss at a plan time [s] in which the team drops all its cables.
+
+    All stop as in ``_after_loss``. The flight is not certified yet.
+    """
+    flown = flight.teams[_place(flight, robot).team]
+    begin, reacts, planned = _way_to_rest(flight, stop, time, DELAY)
+    drones = planned[flown.name].drones
+    team = flown.motion.team
+    swarm = Swarm(team.drones, quadrotor=list(team.kinds))
+    need = Chain(flown.motion, 0).need
+    phase = Phase("stop", 0, 0.0, drones.duration)
+    name = flown.name or LOST
+    teams = [TeamMotion(name, Motion.single(swarm, need, drones, [phase]))]
+    teams += [
+        TeamMotion(each.name, planned[each.name]) for each in flight.teams if each is not flown
+    ]
+    return Remaining(
+        flight=Flight(tuple(teams)),
+        certificate=Certificate(drones.duration, ()),
+        begin=begin,
+        reacts=DELAY,
+        stops=reacts + stop.seconds,
+        rest=stop.rest,
+        starts=math.inf,
+        taut=math.inf,
+        rise=0.0,
+        lift=PiecewisePolynomial.constant([0.0, drones.duration], [0.0]),
+        robots={},
+        drones=_names_in_plan(flown, teams, {name: np.arange(team.drones)}),
+    )
+
+
+class _WayToRest(NamedTuple):
+    """The plan from a loss to the rest that follows it."""
+
+    begin: float  # [s] Plan time at which it begins
+    reacts: float  # [s] Time from there until the plan's clock begins to stop
+    planned: dict[str, Motion]  # Motions of all teams from there, by name
+
+
+def _way_to_rest(flight: Flight, stop: PreparedStop, begin: float, delay: float) -> _WayToRest:
+    """Return the plan from ``begin`` [s] before a rest, or from a break within MIN_SPACING.
+
+    The others react after a ``delay`` [s] at the earliest.
+    """
+    until_rest = stop.until_rest(flight)
+    nearest = until_rest.breaks[np.argmin(np.abs(until_rest.breaks - begin))]
+    begin = float(nearest) if abs(nearest - begin) < MIN_SPACING else begin
+    reacts = max(until_rest.duration - stop.seconds - begin, delay, PAUSE)
+    end = begin + reacts + stop.seconds
+    planned = {
+        each.name: shifted(slice_time(each.motion.untimed, begin, end), -begin)
+        for each in until_rest.teams
+    }
+    return _WayToRest(begin, reacts, planned)
+
+
+def _names_in_plan(
+    flown: TeamMotion, teams: Sequence[TeamMotion], places: Mapping[str, Indices]
+) -> tuple[str, ...]:
+    """Return the drones of a flight's teams by their names in the plan.
+
+    ``places`` has, by the teams that a team of the plan has become, its drones in them.
+    """
+    return tuple(
+        each.label(drone)
+        for part in teams
+        for each in [flown if part.name in places else part]
+        for drone in np.array(each.motion.team.drone_names)[places.get(part.name, ...)].tolist()
+    )
 
 
 def _certified(flight: Flight, robot: str, time: float) -> Certificate:
@@ -162,15 +245,7 @@ def _after_loss(
         last = run.drones.breaks[-1]
         reason = f"the plan does not stop before t = {last:.4g} s, when its hitch is not taut"
         raise InfeasibleError([], f"loss of {robot}: {reason}; all drop their cables and land")
-    until_rest = stop.until_rest(flight)
-    nearest = until_rest.breaks[np.argmin(np.abs(until_rest.breaks - begin))]
-    begin = float(nearest) if abs(nearest - begin) < MIN_SPACING else begin
-    reacts = max(until_rest.duration - stop.seconds - begin, delay, PAUSE)
-    end = begin + reacts + stop.seconds
-    planned = {
-        each.name: shifted(slice_time(each.motion.untimed, begin, end), -begin)
-        for each in until_rest.teams
-    }
+    begin, reacts, planned = _way_to_rest(flight, stop, begin, delay)
     remaining = Chain(flown.motion, place.cable)
     stopping = stop.stopping(flown.motion.untimed).drones if stop.seconds else None
     reaction = remaining.reaction(run, stop.rest, stopping)
@@ -188,12 +263,6 @@ def _after_loss(
     ]
     held = Flight(tuple(teams))
     places = {name: remaining.drones, lost: remaining.lost}
-    drones = [
-        each.label(drone)
-        for part in teams
-        for each in [flown if part.name in places else part]
-        for drone in np.array(each.motion.team.drone_names)[places.get(part.name, ...)].tolist()
-    ]
     return Remaining(
         flight=held,
         certificate=_certified(held, robot, time),
@@ -206,7 +275,7 @@ def _after_loss(
         rise=reaction.rise,
         lift=_lift_from(reaction.lift, reacts),
         robots=_robots(flown, name, robot),
-        drones=tuple(drones),
+        drones=_names_in_plan(flown, teams, places),
     )
 
 
@@ -234,13 +303,10 @@ def _place(flight: Flight, robot: str) -> _Place:
     if robot not in places:
         raise InputError("lose", robot, f"one of {', '.join(sorted(places))}", "name a robot")
     place = places[robot]
-    team = flight.teams[place.team].motion.team
-    if place.cable not in Losses.of(team.layout).robots:
+    layout = flight.teams[place.team].motion.team.layout
+    if place.cable not in Losses.of(layout).robots:
         bound = "a robot without which the others hold one another"
         raise InputError("lose", robot, bound, "name another one, such as an end of a chain")
-    if not team.release:
-        bound = "omitted unless drones can drop the ends of their cables"
-        raise InputError("lose", robot, bound, "set team.release: true if they can")
     return place
 
 

@@ -51,7 +51,8 @@ def _robots(flown: TeamMotion, stops: list[PreparedStop]) -> Iterator[dict[str, 
 
 def _rounded_up(value: float, decimals: int) -> float:
     """Return a value rounded up to some decimals."""
-    return round(math.ceil(value * 10**decimals) / 10**decimals, decimals)
+    scale = 10.0**decimals
+    return math.ceil(value * scale) / scale
 
 
 def _answers(motion: Motion, stops: list[PreparedStop]) -> Iterator[tuple[Motion, PreparedStop]]:

@@ -483,7 +483,7 @@ def table_faults(p: Plan, rows: Moves, on: Mask, stated: Stated, jump: float) ->
     """Yield what a certificate states otherwise than follows from the plan."""
     bound = stated.worst.get("loss_displacement", -math.inf)
     yield 0.0, bound < jump * (1.0 - 1e-6), "loss_displacement is understated"
-    lost = np.unique(rows.lost) if np.any(on) else []
+    lost: list[int] = np.unique(rows.lost).tolist() if np.any(on) else []
     names = {k: f"{p.label}{p.robot[k]}" for k in range(p.n)}
     for k, name in names.items():
         yield 0.0, (k in lost) != (name in stated.ways), f"robot {name} is missing, or too many"

@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 import hitchopt as ho
+from hitchopt.checks.distances import smallest
 from hitchopt.checks.losses import SURVIVABLE, after_losses
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.hitch.losses import Losses, displacements, places_after_loss
 from hitchopt.planners.losses import after_loss
 from hitchopt.values import Array
+from tests.helpers.survivors import BOUNDS, at_bound, below_a_whole_cable, held
 
 SOFT = ho.Quadrotor(stiffness=4.75)
 SURVIVE = ho.Limits(survive="cable")
@@ -218,3 +221,32 @@ def test_all_that_may_meet_after_a_loss_is_compared(n: int) -> None:
         16 * moved * clasped,
         both_whole[1],
     ]
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+@pytest.mark.parametrize("margin", [4e-3, -4e-3])
+def test_losses_are_survived_just_within_a_bound(bound: str, margin: float) -> None:
+    check = SURVIVABLE.check(at_bound(bound, margin))
+    assert check is not None
+    assert check.holds == (margin > 0.0), check
+
+
+def test_drones_that_rise_below_a_cable_touch_it() -> None:
+    (after,) = after_losses(below_a_whole_cable())
+    cases = [case for case in after.cases() if case.moving.second is not None]
+    pairs = [(smallest(case.moving, target=case.limit), case) for case in cases]
+    touching = [
+        case.moving.pair_names(pair.item) for pair, case in pairs if pair.worst <= 1e-9 * case.limit
+    ]
+    assert ("q0", "cable 2") in touching
+
+
+def test_loose_cables_are_below_all_places_of_their_drones() -> None:
+    """Seen from above, at any share of the way."""
+    motion = held(robots=5, length=2.1)
+    (after,) = after_losses(motion)
+    outlines = after.loose.corners[0, :, : after.loose.outline, :2, 0]
+    for outline, start, place in zip(outlines, after.start[0], after.place[0], strict=True):
+        shares = np.linspace(0.001, 0.999, 20)[:, None]
+        ways = start[:2, 0] + shares * (place - start)[:2, 0]
+        assert np.all(Delaunay(outline).find_simplex(ways, tol=1e-6) >= 0)

@@ -199,13 +199,55 @@ def test_a_robot_or_a_time_without_an_answer_is_refused(
     assert words in shown.stderr
 
 
-def test_inner_robots_of_chains_and_tied_drones_are_refused() -> None:
+@pytest.mark.parametrize("release", [True, None])
+def test_inner_robots_of_chains_are_refused_and_cables_may_break_by_themselves(
+    release: bool | None,
+) -> None:
     arc = [[-1.4, 0.0], [-0.6, 0.7], [0.6, 0.7], [1.4, 0.0]]
-    for release, robot, words in ((True, "1", "hold one another"), (None, "0", "drop the ends")):
-        team = ho.Team(3, 1.9, topology="open", tension=0.3, release=release)
-        plan = ho.solve(ho.Hitch.balanced(team, arc, 1.5), ho.Hold(1.0))
-        with pytest.raises(ho.InputError, match=words):
-            plan.after_loss(robot, 0.5)
+    team = ho.Team(3, 1.9, topology="open", tension=0.3, release=release)
+    plan = ho.solve(ho.Hitch.balanced(team, arc, 1.5), ho.Hold(1.0))
+    with pytest.raises(ho.InputError, match="hold one another"):
+        plan.after_loss("1", 0.5)
+    assert plan.after_loss("0", 0.5).certificate.certified
+
+
+@cache
+def sagging(*, release: bool) -> ho.Plan:
+    """The plan of a hitch whose chain cannot be untied, and whose cables would be below ground."""
+    team = ho.Team(
+        *(3, 2.53), cable_density=0.005, tension=0.4, quadrotor="paper_132g", release=release
+    )
+    corners = [[-0.432, -0.304], [-0.092, 0.509], [0.524, -0.205]]
+    moved = [[-0.278, 0.228], [1.001, 0.143], [-0.084, -0.869]]
+    return ho.solve(ho.Hitch.spread(team, corners, altitude=1.6), ho.Morph(moved))
+
+
+@pytest.mark.parametrize("release", [True, False])
+def test_where_no_chain_lands_all_cables_are_dropped(release: bool, tmp_path: Path) -> None:
+    plan = sagging(release=release)
+    if not release:
+        with pytest.raises(ho.InfeasibleError):
+            plan.after_loss(1, 0.9888, "land")
+        return
+    found = after_loss_of(plan.flight, "1", 0.9888, "land")
+    assert found.certificate.certified
+    assert [phase.name for phase in found.flight.phases] == ["stop", "land"]
+    assert sorted(found.drones) == sorted(plan.motion.team.drone_names)
+    landed = found.flight.drones.at(found.flight.duration)
+    stopped = plan.motion.drones.at(found.rest)
+    np.testing.assert_allclose(landed, stopped * [1.0, 1.0, 0.0], atol=1e-9)
+    folder = ho.Plan(found.flight, found.certificate).save(tmp_path, picture=False)
+    assert {row.verdict for row in second.verify(folder)} <= second.PASSING
+
+
+def test_after_a_second_loss_drones_keep_clear_of_those_of_the_first() -> None:
+    first = square().after_loss(1, 1.0)
+    taut = first.flight.duration - 0.5
+    labels = first.flight.teams[0].motion.team.labels
+    for end in (labels[0], labels[-1]):
+        found = after_loss_of(first.flight, f"chain.{end}", taut)
+        assert found.certificate.certified
+        assert [each.name for each in found.flight.teams] == ["chain", "chain-lost", "lost"]
 
 
 def test_teams_are_named_and_others_rest() -> None:

@@ -24,8 +24,17 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.planners.losses import after_loss
 from hitchopt.storage.files import strict_json
 from hitchopt.verify import Row
-from hitchopt.verify.losses import Pairs, clasped_first, losses, moves, read_stated
+from hitchopt.verify.losses import (
+    AfterLosses,
+    Pairs,
+    clasped_first,
+    losses,
+    moves,
+    read_stated,
+    taut_pieces,
+)
 from hitchopt.verify.reading import read
+from tests.helpers.survivors import BOUNDS, at_bound, below_a_whole_cable
 
 Content = dict[str, Any]
 
@@ -107,7 +116,7 @@ def drawn_lie(rng: np.random.Generator, content: Content) -> None:
     table = content["after_loss"]
     row = table["robots"][rng.integers(len(table["robots"]))]
     drone = sorted(row["ways"])[rng.integers(2)]
-    wrong = [math.nan, math.inf, -0.5, None, "0.7", True, [0.7], {}][rng.integers(8)]
+    wrong: Any = [math.nan, math.inf, -0.5, None, "0.7", True, [0.7], {}][rng.integers(8)]
     share = float(rng.choice([rng.uniform(0.2, 0.995), rng.uniform(1.05, 3.0)]))
     (jump,) = [each for each in content["checks"] if each["name"] == "loss_displacement"]
     (survived,) = [each for each in content["checks"] if each["name"] == "survivable"]
@@ -238,3 +247,21 @@ def test_all_that_may_meet_after_a_loss_is_compared(n: int, tmp_path: Path) -> N
     ends = clasped_first(own, pairs.both, rows.drone[pairs.both] // 2)
     shared = {3: moved, 4: 0, 5: 0}[n]  # both loose cables of a triangle share a clasp
     assert [len(items) for items in ends] == [shared, moved - shared]
+
+
+def after_losses_of(motion: ho.Motion, tmp_path: Path) -> AfterLosses:
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion))
+    ((own,), _) = read(tmp_path / "plan.npz")
+    return AfterLosses(own, moves(own), taut_pieces(own))
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+@pytest.mark.parametrize("margin", [4e-3, -4e-3])
+def test_losses_are_proven_just_within_a_bound(bound: str, margin: float, tmp_path: Path) -> None:
+    verdicts = {row.verdict for row in after_losses_of(at_bound(bound, margin), tmp_path).proofs()}
+    assert verdicts == {"proven"} if margin > 0.0 else "violated" in verdicts
+
+
+def test_drones_that_rise_below_a_cable_touch_it(tmp_path: Path) -> None:
+    rows = after_losses_of(below_a_whole_cable(), tmp_path).clearances()
+    assert ("q0, cable 2", "violated") in {(row.where, row.verdict) for row in rows}
