@@ -205,7 +205,7 @@ def fit(
     Parameters
     ----------
     outline: points (m, 2) [m], a circle's radius [m], a ``Section``, a geometry of shapely, or the
-        path of an SVG, DXF, GeoJSON or CSV file. The convex hull is used where it is concave.
+        path of a GeoJSON or CSV file. The convex hull is used where it is concave.
     robots: number n of robots.
     clearance: distance of cables to the object while it is enclosed [m], in addition to 4.5 cm for
         its position error.

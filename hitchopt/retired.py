@@ -20,6 +20,8 @@ RETIRED: Mapping[str, str] = {
     "rotors by --perturb rotor_drag=0.012",
     "calibrate --set": "name the plan that was flown by --plan: hovers are not calibrated",
     "calibrate --names": "name the plan that was flown by --plan, with which drones are identified",
+    ".svg": "save the outline as GeoJSON, or its points in metres as CSV",
+    ".dxf": "save the outline as GeoJSON, or its points in metres as CSV",
     "hitchopt sweep": "loop over problems with ho.solve, or plan many morphs with ho.morphs",
     "init --kind study": "loop over problems with ho.solve, or plan many morphs with ho.morphs",
     "ho.run_sweep": "loop over problems with ho.solve, or plan many morphs with ho.morphs",

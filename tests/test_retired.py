@@ -18,7 +18,7 @@ STEPS = {"tie", "untie"}
 OTHERS: dict[str, list[str]] = {
     f"--perturb {name}": ["simulate", ".", "--perturb", f"{name}=0.01"]
     for name in ("vertex_noise", "vertex_delay")
-}
+} | {kind: ["fit", f"part{kind}", "--robots", "3"] for kind in (".svg", ".dxf")}
 """Command lines that use an entry which is neither a name, a command, an option nor a step."""
 
 

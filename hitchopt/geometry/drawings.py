@@ -1,35 +1,29 @@
-"""Outlines from SVG, DXF, GeoJSON, tables of coordinates, and geometries of shapely.
+"""Outlines from GeoJSON, tables of coordinates, and geometries of shapely.
 
-A drawing that states its unit is converted to metres; other numbers are metres. Invisible shapes,
-such as those on hidden layers, are ignored. Curves are flattened to chords. Lines that meet are
-joined to closed outlines, and holes are ignored. Several separate outlines are replaced by their
-convex hull. Notes list what was ignored or replaced, with sizes.
+Numbers are metres. Lines that meet are joined to closed outlines, and holes are ignored. Several
+separate outlines are replaced by their convex hull. Notes list what was ignored or replaced, with
+sizes.
 """
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from hitchopt.errors import FileError, HitchoptError, InputError, optional_module
-from hitchopt.storage.files import file_bytes, parsed_json, require_file
-from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines, with_decimal_point
+from hitchopt.retired import refuse_retired
+from hitchopt.storage.files import parsed_json, require_file
+from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines
 from hitchopt.values import Array
 
 FLATNESS = 1e-4
-"""[m] Largest distance of a curve from its chords, of an outline from its simplification, and of a
-convex outline from its hull."""
-
-CHORDS = 256
-"""Number of chords of a curve in SVG: within FLATNESS of a quarter circle of 20 m radius."""
+"""[m] Largest distance of an outline from its simplification, and of a convex outline from its
+hull."""
 
 GRID = 1e-6  # [m] Grid on which lines are noded
 
@@ -45,22 +39,8 @@ MAX_FILE_SIZE = 20_000_000  # [B] Largest file: a drawing of a single part is sm
 
 MIN_EXTENT = 0.01  # [m] Smallest outline: smaller ones have other units, such as degrees
 MAX_EXTENT = 20.0  # [m] Largest outline: larger ones have other units, such as millimetres
-INCH = 0.0254  # [m] One inch
-PIXELS = 96.0  # Pixels of one inch in CSS: lengths with units in SVG become pixels
 
 PAGE_TOLERANCE = 5e-4  # Largest fraction of its bounding box that a page or frame leaves out
-
-PIXEL_NOTE = (
-    "size in CSS pixels (1/96 inch); programs with 72 px per inch make parts three quarters as "
-    "large: check it, or save in mm"
-)
-"""Note on drawings whose size is in pixels, which is no physical unit."""
-
-LENGTH = re.compile(
-    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(mm|cm|in|pt|pc|px|%|)\s*", re.I
-)
-LENGTHS = ("x", "y", "width", "height", "r", "rx", "ry", "cx", "cy", "x1", "x2", "y1", "y2")
-"""Supported lengths in SVG, and the attributes of shapes that are lengths."""
 
 Lines = list[Array]
 
@@ -85,14 +65,14 @@ def read_drawing(path: str | Path) -> Drawing:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in READERS:
+        refuse_retired(suffix)
         suffixes = ", ".join(READERS)
         raise InputError("outline", path.name, f"a drawing ({suffixes})", "save it as one of these")
-    notes: list[str] = []
     try:
         require_file(path)
         if path.stat().st_size > MAX_FILE_SIZE:
             raise FileError(f"{path}: has more than {MAX_FILE_SIZE:.0e} bytes")
-        lines = READERS[suffix](path, notes)
+        lines = READERS[suffix](path)
     except HitchoptError:
         raise
     except FileNotFoundError:
@@ -100,12 +80,12 @@ def read_drawing(path: str | Path) -> Drawing:
     except Exception as error:  # parsers raise errors of their own, and builtin ones
         reason = str(error).splitlines()
         raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
-    return _drawing_of(lines, path.name, notes)
+    return _drawing_of(lines, path.name)
 
 
 def drawing_of_geometry(geometry: Any) -> Drawing:
     """Return the outline of a geometry of shapely, or of a mapping that shapely accepts."""
-    return _drawing_of(_rings(_library("shapely.geometry").shape(geometry)), "geometry", [])
+    return _drawing_of(_rings(_library("shapely.geometry").shape(geometry)), "geometry")
 
 
 def format_size(points: Array) -> str:
@@ -114,120 +94,7 @@ def format_size(points: Array) -> str:
     return f"{width:.4g} x {depth:.4g} m"
 
 
-def _read_svg(path: Path, notes: list[str]) -> Lines:
-    elements, root = _library("svgelements"), ElementTree.fromstring(file_bytes(path))
-    _normalise(root, path.name)
-    units = [(root.get(name) or "")[-2:] for name in ("width", "height")]
-    stated = {unit.isalpha() for unit in units}
-    if len(stated) == 2:
-        bound, remedy = "a drawing with both width and height in units", "add the other one"
-        raise InputError("outline", path.name, bound, remedy)
-    scale = INCH / PIXELS if stated == {True} else 1.0
-    if "px" in units:
-        notes.append(PIXEL_NOTE)
-    # Shapes are flattened before they are transformed: the library transforms no rectangles and
-    # ellipses that are turned, and no arcs that are skewed
-    drawing = elements.SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=False)
-    drawn: dict[bool, Lines] = {True: [], False: []}
-    for shape in drawing.elements(lambda each: isinstance(each, elements.Shape)):
-        if shape.values.get("visibility") in {"hidden", "collapse"}:
-            continue
-        m = shape.transform
-        linear, offset = np.array([[m.a, m.b], [m.c, m.d]]), np.array([m.e, m.f])
-        for part in elements.Path(shape).as_subpaths():
-            ends = [
-                segment.npoint(np.linspace(0.0, 1.0, CHORDS + 1)[:: CHORDS if straight else 1])
-                for segment in part
-                if segment.start is not None and not isinstance(segment, elements.Move)
-                for straight in [isinstance(segment, elements.Line)]
-            ]
-            if ends:  # y points down in drawings
-                points = np.concatenate(ends).astype(np.float64) @ linear + offset
-                drawn[_is_visible(shape)].append(points * [scale, -scale])
-    if drawn[True] and drawn[False]:
-        size = format_size(np.concatenate(drawn[False]))
-        notes.append(f"invisible shapes (no lines, white or no fill) are omitted: {size} in all")
-    return drawn[True] or drawn[False]
-
-
-def _normalise(root: ElementTree.Element, name: str) -> None:
-    """Normalise lengths, and move elements that are only drawn by reference into defs."""
-    for parent in list(root.iter()):
-        for key in LENGTHS:
-            if (value := parent.get(key)) is not None:
-                if (match := LENGTH.fullmatch(value)) is None:
-                    bound = f"lengths in mm, cm, in, pt, pc or px, not {key}={value[:30]!r}"
-                    raise InputError("outline", name, bound, "save it in mm, with decimal points")
-                parent.set(key, "".join(match.groups()).lower())
-        for i, child in enumerate(list(parent)):
-            space, _, tag = str(child.tag).rpartition("}")
-            if tag in {"symbol", "marker", "mask"}:
-                parent[i] = ElementTree.Element(f"{space}}}defs" if space else "defs")
-                child.tag = f"{space}}}g" if space else "g"
-                parent[i].append(child)
-
-
-def _is_visible(shape: Any) -> bool:
-    """Return whether a shape is visible on white paper."""
-    stroke, fill = shape.stroke, shape.fill
-    lines = stroke is not None and stroke.value is not None and stroke.alpha > 0
-    lines = lines and shape.stroke_width != 0.0
-    filled = fill is not None and fill.value is not None and fill.alpha > 0
-    visible = lines or (filled and fill.hex != "#ffffff")
-    return bool(visible) and shape.values.get("opacity") not in {"0", "0.0", "0%"}
-
-
-def _read_dxf(path: Path, notes: list[str]) -> Lines:
-    ezdxf, paths, units = map(_library, ("ezdxf", "ezdxf.path", "ezdxf.units"))
-    try:
-        drawing = ezdxf.readfile(str(path))
-    except (OSError, ValueError, ezdxf.DXFError):  # maybe a byte order mark, or decimal commas
-        text = list(text_lines(path))
-        text[1::2] = map(with_decimal_point, text[1::2])  # a code and its value take a line each
-        drawing = ezdxf.read(io.StringIO("\n".join(text)))
-    if not 0 <= drawing.units <= max(units.InsertUnits):
-        bound = f"a drawing in a known unit, not $INSUNITS = {drawing.units}"
-        raise InputError("outline", path.name, bound, "set it to 4, millimetres, or to 6, metres")
-    scale = units.conversion_factor(drawing.units, units.M) if drawing.units else 1.0
-    lines: Lines = []
-    hidden: set[str] = set()
-    for entity in _entities(drawing, drawing.modelspace(), "0", hidden):
-        try:
-            curve = paths.make_path(entity)
-        except TypeError:
-            continue  # texts and dimensions have no path
-        points = np.array([[p.x, p.y] for p in curve.flattening(FLATNESS / scale)])
-        if len(points) > 1:
-            lines.append(scale * points)
-    if hidden:
-        layers = ", ".join(sorted(hidden))
-        notes.append(f"layers that are off, frozen or not plotted are omitted: {layers}")
-    return lines
-
-
-def _entities(drawing: Any, layout: Any, block_layer: str, hidden: set[str]) -> Iterator[Any]:
-    """Yield the visible entities of a layout and of its blocks; dimensions and leaders stay whole.
-
-    In a block, layer 0 stands for the block's own layer, ``block_layer``. Names of invisible layers
-    are added to ``hidden``.
-    """
-    for entity in layout:
-        layer = block_layer if entity.dxf.layer == "0" else entity.dxf.layer
-        style = drawing.layers.get(layer) if drawing.layers.has_entry(layer) else None
-        block = entity.dxftype() == "INSERT"
-        invisible = style is not None and (style.is_frozen() or (style.is_off() and not block))
-        invisible |= style is not None and not style.dxf.plot and not block
-        if invisible or layer.lower() == "defpoints":
-            hidden.add(layer)
-        elif entity.dxf.get("invisible", 0):
-            continue
-        elif block:
-            yield from _entities(drawing, entity.virtual_entities(), layer, hidden)
-        else:
-            yield entity
-
-
-def _read_geojson(path: Path, notes: list[str]) -> Lines:  # noqa: ARG001
+def _read_geojson(path: Path) -> Lines:
     text = "\n".join(text_lines(path)).strip()
     if text.startswith("["):
         points = np.array(parsed_json(text), dtype=np.float64)
@@ -241,7 +108,7 @@ def _read_geojson(path: Path, notes: list[str]) -> Lines:  # noqa: ARG001
         raise ValueError("it is neither GeoJSON nor a list of points [x, y]") from None
 
 
-def _read_table(path: Path, notes: list[str]) -> Lines:  # noqa: ARG001
+def _read_table(path: Path) -> Lines:
     table = numeric_table(partial(text_lines, path), str(path))
     if table.width != 2:
         words = f"an outline is a list of points x, y, one on each line, not {table.width} numbers"
@@ -258,21 +125,20 @@ def _rings(geometry: Any) -> Lines:
     return [np.array(line.coords, dtype=np.float64)[:, :2]]
 
 
-def _drawing_of(lines: Lines, name: str, notes: list[str]) -> Drawing:
+def _drawing_of(lines: Lines, name: str) -> Drawing:
     """Return the outer outline of lines."""
-    shapely = _library("shapely")
+    shapely, notes = _library("shapely"), list[str]()
     if not all(np.all(np.isfinite(line)) for line in lines):
         raise InputError("outline", name, "finite", "check its coordinates")
     strings = [shapely.LineString(line) for line in lines if len(line) > 1]
     if not strings:
-        remedy = "it has no lines: trace pictures and texts first"
-        raise InputError("outline", name, "a drawing with lines", "; ".join([remedy, *notes]))
+        raise InputError("outline", name, "a drawing with lines", "it has no lines")
     points = np.concatenate(lines)
     size = float(np.max(np.ptp(points, axis=0)))
     if not MIN_EXTENT <= size <= MAX_EXTENT:
         extreme = f"least {MIN_EXTENT:g}" if size < MIN_EXTENT else f"most {MAX_EXTENT:g}"
         bound = f"at {extreme} m across, not {format_size(points)}"
-        remedy = "state the drawing's unit: numbers without one are metres"
+        remedy = "write it in metres"
         if size < MIN_EXTENT:
             remedy = f"{remedy}; if these are degrees, as in GeoJSON, project them to metres"
         raise InputError("outline", name, bound, remedy)
@@ -283,7 +149,7 @@ def _drawing_of(lines: Lines, name: str, notes: list[str]) -> Drawing:
     tolerance = min(FLATNESS, JOIN_TOLERANCE * size)
     strings += list(_bridges(strings, tolerance))
     faces, ends = _faces(strings)
-    _check_gaps(strings, faces, ends, name, notes)
+    _check_gaps(strings, faces, ends, name)
     outlines = _geometries(shapely.unary_union(faces))
     _note_holes(outlines, faces, notes)
     outer = shapely.unary_union(outlines)
@@ -329,9 +195,7 @@ def _bridges(strings: Sequence[Any], tolerance: float) -> Iterator[Any]:
             yield bridge
 
 
-def _check_gaps(
-    lines: Sequence[Any], faces: Sequence[Any], ends: Array, name: str, notes: Sequence[str]
-) -> None:
+def _check_gaps(lines: Sequence[Any], faces: Sequence[Any], ends: Array, name: str) -> None:
     """Raise InputError if there is no closed outline, or if closing gaps would enlarge it."""
     shapely = _library("shapely")
     size = float(np.max(np.ptp(shapely.get_coordinates(lines), axis=0), initial=0.0))
@@ -353,7 +217,7 @@ def _check_gaps(
         )
         gaps = f": gaps of {', '.join(list(each)[:3])}" if pairs else ""
         bound, remedy = "a drawing with a closed outline", f"join the ends of its lines{gaps}"
-        raise InputError("outline", name, bound, "; ".join([remedy, *notes]))
+        raise InputError("outline", name, bound, remedy)
 
 
 def _length(pair: Array) -> float:
@@ -381,12 +245,10 @@ def _format_sizes(outlines: Sequence[Any]) -> str:
 
 _library = partial(optional_module, purpose="drawings need", extra="fit")
 
-READERS: dict[str, Callable[[Path, list[str]], Lines]] = {
-    ".svg": _read_svg,
-    ".dxf": _read_dxf,
+READERS: dict[str, Callable[[Path], Lines]] = {
     ".geojson": _read_geojson,
     ".json": _read_geojson,
     ".csv": _read_table,
     ".txt": _read_table,
 }
-"""Readers by file suffix; each returns lines (points, 2) [m] and appends notes."""
+"""Readers by file suffix; each returns lines (points, 2) [m]."""

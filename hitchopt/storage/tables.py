@@ -32,7 +32,6 @@ MAX_HEAD_LINES = 50  # Lines that are searched for the column names
 # A comment to the end of a line; a number after the sign is no comment
 COMMENT = re.compile(r"^\s*#.*|\s#(?!\d).*")
 COMMENT_SIGN = re.compile(r"^\s*#+\s*")  # The sign of a comment at the start of a line
-DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
 MINUS = "\N{MINUS SIGN}"  # As spreadsheets in Swedish, Norwegian and Finnish write it
 SWAP_SIGNS = str.maketrans(",.", ".,")  # A point among decimal commas becomes an invalid comma
 COMMA_REMEDY = "decimal commas need semicolons between cells, and no points in numbers"
@@ -208,11 +207,6 @@ def headings(lines: Lines) -> Iterator[str]:
         text = COMMENT_SIGN.sub("", line[:100_000]).partition("#")[0].strip().lower()
         separator = next((each for each in SEPARATORS if each in text), ",")
         yield ",".join(x.strip().replace(",", ".") for x in _cells(text, separator)).lstrip(",")
-
-
-def with_decimal_point(text: str) -> str:
-    """Return a number with a point instead of a decimal comma, and any other text unchanged."""
-    return text.replace(",", ".") if DECIMAL_COMMA.fullmatch(text) else text
 
 
 def _split(lines: Iterable[str], separator: str) -> Iterator[tuple[int, list[str]]]:

@@ -59,8 +59,7 @@ COMMANDS = {
     "a.c3d": ("evaluate a.c3d",),
     **{f"a{ending}": (f"lint a{ending}",) for ending in own_endings() if ending != ".csv"},
     "logs/cf1.ulg": ("evaluate logs/cf1.ulg",),
-    "outline.svg": ("fit outline.svg --robots 3",),
-    "outline.dxf": ("fit outline.dxf --robots 3",),
+    "outline.csv": ("fit outline.csv --robots 3",),
     "fleet.yaml": ("export PLAN --format crazyswarm2 --fleet fleet.yaml",),
 }
 

@@ -77,7 +77,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("export out", "error: missing --format; choose one, such as"),
         ("fly out", "error: Missing option '--over'. Choose from:"),
         ("view .", 'error: No plan in ".": name a directory that hitchopt solve -o wrote.'),
-        ("fit none.svg --robots 3", "error: none.svg: there is no such file"),
+        ("fit none.csv --robots 3", "error: none.csv: there is no such file"),
         ("init --drone crazyfly", "error: --drone = 'crazyfly': must be crazyflie_2.1"),
         *((f"init --robots {n}", f"error: --robots = {n}: must be at ") for n in (0, 2, 13)),
         ("init --robots 4 --kind carry", "error: --robots = 4: must be omitted with --kind"),

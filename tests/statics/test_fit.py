@@ -226,7 +226,7 @@ def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
     assert b"/CIDFontType2" in written  # TrueType, as publishers ask for
     assert b"/Type3" not in written
     assert CliRunner().invoke(main, [*arguments, "0.5", "--by", "rest"]).exit_code == 3
-    for outline in ("circle:a", "[[0, 0", "none.svg"):
+    for outline in ("circle:a", "[[0, 0", "none.csv"):
         assert CliRunner().invoke(main, ["fit", outline, "--robots", "3"]).exit_code == 2
 
 

@@ -307,8 +307,7 @@ def fit(
 ) -> None:
     """Fit a hitch to OUTLINE: polygons that enclose, grip and support it, and maximum masses.
 
-    OUTLINE is a drawing (SVG, DXF, GeoJSON, CSV), points as '[[x, y], …]', or circle:RADIUS, in
-    metres unless a drawing states its unit.
+    OUTLINE is a drawing (GeoJSON, CSV), points as '[[x, y], …]', or circle:RADIUS, in metres.
     """
     from hitchopt.lab.statics.files import fit_as_json, save_fit
     from hitchopt.values import positive
