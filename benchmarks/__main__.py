@@ -19,7 +19,6 @@ NAMES = (
     "teams",
     "carrying",
     "flights",
-    "laying",
     "recordings",
     "real",
     "replay",

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hitchopt.checks.custom import Rule
 from hitchopt.errors import InfeasibleError, InputError, Progress, time_limit
@@ -303,8 +302,6 @@ def form(
     assign: Assign = "auto",
     swap: SwapSettings | None = None,
     settle: SettleAtEnd = "auto",
-    by: Literal["swaps", "laying"] = "swaps",
-    order: ArrayLike | Literal["auto"] = "auto",
     duration: float | None = None,
     *,
     limits: Limits | None = None,
@@ -329,9 +326,6 @@ def form(
     swap: how drones turn in pairs.
     settle: duration of the over-travels that end the step where cables slid against friction, added
         to its duration [s]; auto: as far as limits allow; or false.
-    by: swaps: pairs of drones swap positions; laying: taut cables are laid on one another, and
-        every pair rolls by half a turn.
-    order: order of laying, robots from bottom to top; auto: alternating levels.
     duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None: unlimited.
@@ -349,8 +343,6 @@ def form(
         assign=assign,
         swap=swap or SwapSettings(),
         settle=settle,
-        by=by,
-        order=order,
         duration=duration,
     )
     seconds = _seconds(limit)

@@ -15,7 +15,6 @@ from hitchopt.errors import InputError, UnsupportedError
 class Feature(StrEnum):
     """What a user requests: the rows of the table, and the subjects of messages."""
 
-    LAYING = "laying and rolling"
     HOLDING = "holding an object"
     GRIPPING = "gripping an object"
     COST = "a custom cost"
@@ -98,18 +97,6 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         )
         for feature in _ALONE
     },
-    (Feature.LAYING, Neighbour.CHAINS): Refusal(
-        "laying and rolling do not support an open chain: laying ties rings", "use by: swaps"
-    ),
-    (Feature.LAYING, Neighbour.WEIGHTLESS): Refusal(
-        "laying and rolling do not support cables without weight",
-        "set team.cable_density, from which the pull of a taut cable follows",
-    ),
-    (Feature.LAYING, Neighbour.LOADS): Refusal(
-        "laying and rolling do not support loads, which hang from clasps, while cables only lie "
-        "on one another",
-        "omit team.load",
-    ),
     (Feature.HOLDING, Neighbour.CHAINS): Refusal(
         "closed if objects are held", "close it", key="team.topology"
     ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -13,7 +14,10 @@ from hitchopt.mission.loading import problem_from_dict
 from hitchopt.retired import RETIRED, gone
 from tests.helpers.plans import PROBLEMS
 
-STEPS = {"tie", "untie"}
+STEPS = {"tie", "untie", "open_vertex", "close_vertex"}
+
+KEYS = {"form.by": "laying", "form.order": [2, 0, 1]}
+"""Keys of steps with values that they had."""
 
 OTHERS: dict[str, list[str]] = {
     f"--perturb {name}": ["simulate", ".", "--perturb", f"{name}=0.01"]
@@ -46,6 +50,13 @@ def test_every_entry_is_refused_with_its_sentence(entry: str) -> None:
         with pytest.raises(ho.InputError) as refused:
             problem_from_dict(with_step({entry: {}}))
         assert str(refused.value) == f"mission[1].{entry}: {gone(entry)}"
+    elif entry in KEYS:
+        step, _, key = entry.partition(".")
+        with pytest.raises(ho.InputError) as refused:
+            problem_from_dict(with_step({step: {key: KEYS[entry]}}))
+        assert f"mission[1].{entry}: {gone(entry)}" in str(refused.value)
+        with pytest.raises(TypeError, match=re.escape(gone(entry))):
+            getattr(ho, step)(**{key: KEYS[entry]})
     else:
         done = CliRunner().invoke(main, command_of(entry))
         assert done.exit_code == 2, done.output

@@ -31,7 +31,6 @@ from hitchopt.motion.states import final_hitch
 from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.planners.enclosing import object_of
 from hitchopt.planners.optimise.cost import FlightCost
-from hitchopt.steps.tying import check_rollable
 from hitchopt.support import REFUSALS, Feature, Neighbour
 from tests.helpers import carried_plans
 from tests.helpers.plans import PROBLEMS, ROOT, planned
@@ -112,14 +111,9 @@ def in_company(motion: Motion, neighbour: Neighbour) -> ho.Flight:
     return ho.Flight((TeamMotion("a", motion), TeamMotion("b", other)))
 
 
-HEAVY = ho.Team(3, 2.3, tension=0.7, cable_density=0.01)
 LOADED = ho.Team(3, 2.3, tension=0.7, cable_density=0.01, load=0.01)
 CHAIN = ho.Team(3, 2.3, topology="open", cable_density=0.01)
 DRUM = ho.load_problem(PROBLEMS / "grip_drum.yaml").objects["drum"]
-
-
-def laid(team: ho.Team) -> None:
-    check_rollable("step 0 (form)", team)
 
 
 def held_by(team: ho.Team) -> Any:
@@ -151,9 +145,6 @@ def carrying_time() -> float:
 
 
 RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
-    (Feature.LAYING, Neighbour.CHAINS): lambda: laid(CHAIN),
-    (Feature.LAYING, Neighbour.WEIGHTLESS): lambda: laid(replace(HEAVY, cable_density=0.0)),
-    (Feature.LAYING, Neighbour.LOADS): lambda: laid(LOADED),
     (Feature.HOLDING, Neighbour.CHAINS): lambda: object_of(held_by(CHAIN), "drum"),
     (Feature.GRIPPING, Neighbour.UNEQUAL_KINDS): lambda: next(
         grip_clasps("drum", DRUM, ho.Team(3, [2.3, 2.3, 2.4]), Requirements())

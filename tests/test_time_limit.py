@@ -70,7 +70,6 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "follow_vertex": {"vertex": 0, "path": [[0.0, 0.0, 0.6], [5.0, 0.0, 0.7]]},
     "transport": {"to": [0.2, 0.1, 1.5]},
     "form": {"polygon": TRIANGLE, "altitude": 1.2},
-    "open_vertex": {"vertex": 0},
     "settle": {},
     "release": {},
     "land": {},

@@ -52,7 +52,7 @@ from hitchopt.checks.tracking import downwash_radius, slack_rules, touching_radi
 from hitchopt.hitch.pairs import DISTANCES, DistanceRule
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, same_object
-from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
+from hitchopt.motion.motion import CLASPED_STATES, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import Slab
 from hitchopt.objects.placing import REST_DRIFT
@@ -60,8 +60,6 @@ from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array, true_runs
-
-LAID = frozenset({CableState.LAYING})
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,15 +263,6 @@ def arcs_of(side: Side) -> Iterator[PlacedSlab]:
             yield PlacedSlab(name, slab, pose, in_run)
 
 
-def taut_or_laid(side: Side) -> Bodies | None:
-    """Return the cables of a team that are under tension: parts, or strips while they are laid."""
-    cables = cables_of(side, parts=True)
-    if cables is None or not cables.outline:
-        return cables
-    is_laid = side.motion.in_states(LAID)
-    return replace(cables, outline=0, pieces=is_laid) if np.any(is_laid) else None
-
-
 def drones_above_cables(
     run: Run,
     scale: Array | None = None,
@@ -288,8 +277,8 @@ def drones_above_cables(
     """
     scale = half_axes(run.separation) if scale is None else scale
     for one, other in run.both:
-        cables = taut_or_laid(other)
-        if cables is not None:
+        cables = cables_of(other, parts=True)
+        if cables is not None and not cables.outline:
             options: dict[str, Any] = {} if shape is None else {"shape": shape(None)}
             yield run.moving(
                 one.drones.scaled(scale),

@@ -5,8 +5,6 @@ Checks within a team and between teams compare them (``checks.distances``).
 - Taut cables are straight between drones, contacts and vertices (``spans.cable_parts``).
 - A cable that hangs, or lies on the ground (CableState.GROUND), is in the vertical sheet below its
   chord, no deeper than a cable that leads straight down and up again.
-- A laid cable (CableState.LAYING) is in the air, too: its drones hold it taut and lay it across its
-  neighbours. It is in the sheet from its chord down to its largest sag.
 - A cable that is clasped or tightened, or the reverse, or loose after a loss, is somewhere between
   its chord and its route over the clasps: in the vertical region below the hull of both.
   Its clasps are near the middles of the pairs of drones that turn about each other, or near the
@@ -24,8 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.spans import UPWARD, cable_names, cable_parts, cached, part_names
-from hitchopt.hitch.catenary import Catenary
+from hitchopt.checks.spans import cable_names, cable_parts, cached, part_names
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.trajectory import bernstein
@@ -156,9 +153,6 @@ def _bottoms(motion: Motion) -> Array:
     r = motion.drones.coefficients[:, 1::2]
     bottoms = np.repeat(0.5 * (q + r)[:, :, None], 2, axis=2)
     bottoms[:, :, :, 2] -= 0.5 * motion.team.cable_length[:, None, None]
-    laid = motion.in_states(frozenset({CableState.LAYING}))
-    if np.any(laid):
-        bottoms[laid] = _below_chords(motion, laid)
     loose = motion.in_states(LOOSE)
     if np.any(loose):
         level = Enclosed((r - q)[loose]).xy.norm_lower.value
@@ -194,18 +188,6 @@ def clasped_outlines(layout: Layout, drones: Array, clasps: Array, taut: Array) 
         drones[:, 1::2],
     ]
     return np.stack(outline, axis=2)
-
-
-def _below_chords(motion: Motion, laid: Flags) -> Array:
-    """Return points below both ends of laid cables (laid, n, 2, 3, degree + 1), at their sag.
-
-    They keep their shape on each piece, as the check ``interlacing`` verifies.
-    """
-    ends = cable_ends(motion.drones.coefficients[laid])
-    cables = Catenary.between(ends[:, :, 0, :, 0], ends[:, :, 1, :, 0], motion.team.cable_length)
-    depths = cables.depth(0.0) + 0.25 * cables.sigma**2 * np.abs(cables.rise)
-    lowered = UPWARD[:, None] * depths[..., None, None, None]
-    return np.asarray(ends - lowered)
 
 
 def _middles(motion: Motion, drones: Array) -> Array:

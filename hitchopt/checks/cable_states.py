@@ -1,4 +1,4 @@
-"""Contradictions of the states of cables: on the ground, drawn, laid, rolling, being clasped.
+"""Contradictions of the states of cables: on the ground, being clasped or tightened.
 
 States claim that cables are free, at rest or slack. The checks derive this from the curves alone
 and do not trust the names of phases.
@@ -10,22 +10,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hitchopt.checks.cables import LENGTH_LIMIT, TENSION_LIMIT
+from hitchopt.checks.cables import LENGTH_LIMIT
 from hitchopt.checks.chords import chord_crossings
-from hitchopt.checks.clasps import OPEN_ROLL, roll_changes
-from hitchopt.checks.crossing import MAX_SIDEWAYS
 from hitchopt.checks.distances import Flags
 from hitchopt.checks.hanging import above_ground
-from hitchopt.checks.objects import carried_objects
-from hitchopt.checks.spans import clasped_pairs, edge_vectors, leg_vectors, pair_of, rate
+from hitchopt.checks.spans import clasped_pairs, edge_vectors, leg_vectors, pair_of
 from hitchopt.hitch.forces import cable_of, sag_factors
-from hitchopt.motion.loads import stated_tensions
-from hitchopt.motion.motion import CableState, HoldBy, Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.values import Array, Indices
+from hitchopt.values import Indices
 
 MAX_DRIFT = 1e-3  # [m] Largest motion of the midpoint of two drones that turn about each other
-MAX_LEG_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
+MAX_SIDEWAYS = 1e-6  # [m] Largest horizontal motion of drones that move vertically
 
 MAX_TAUT_SHARE = 0.5
 """Largest fraction of a tightening phase with cables at their full length: tightening comes to rest
@@ -76,81 +72,6 @@ def _off_ground(motion: Motion) -> Flags:
     return np.asarray(moves_sideways | above_ground(motion))
 
 
-def _not_drawn(motion: Motion) -> Flags:
-    """Return the cables (n,) that contradict being drawn taut.
-
-    Their drones keep their heights and move either apart or together.
-    """
-    heights = motion.drones.coefficients[:, :, 2]
-    rises = np.max(np.ptp(heights, axis=-1), axis=0).reshape(motion.team.robots, 2)
-    changes_height = np.any(rises > MAX_SIDEWAYS, axis=1)
-    chord_rates = rate(motion, chord_squares)
-    approaches = np.min(chord_rates, axis=(0, -1)) < -MAX_DRIFT
-    recedes = np.max(chord_rates, axis=(0, -1)) > MAX_DRIFT
-    return np.asarray(changes_height | (approaches & recedes))
-
-
-def _not_laid(motion: Motion) -> Flags:
-    """Return the cables (n,) that contradict being laid: those that turn."""
-    drones = motion.drones.coefficients
-    chords = drones[:, 1::2] - drones[:, 0::2]
-    changes = np.max(np.ptp(chords, axis=(0, -1)), axis=-1)
-    return np.asarray(changes > MAX_SIDEWAYS)
-
-
-def _not_rolling(motion: Motion) -> Flags:
-    """Return all cables (n,) if one contradicts rolling.
-
-    Vertices are at rest, and so are legs except for the sag of their tension; some clasp is open.
-    Loads and objects are not allowed. Both legs of a pair turn about the sum of their pulls, which
-    both edges determine: cables that run straight have the same one, also at unequal tensions.
-    """
-    is_wrong = (
-        _vertices_move(motion)
-        or _legs_change(motion)
-        or _pulls_differ(motion)
-        or not _has_open_clasp(motion)
-        or _is_loaded(motion)
-    )
-    return np.full(motion.team.robots, is_wrong)
-
-
-def _vertices_move(motion: Motion) -> bool:
-    """Return whether a vertex moves."""
-    travel = np.ptp(motion.vertices.coefficients, axis=(0, -1))
-    return bool(np.max(travel) > MAX_SIDEWAYS)
-
-
-def _legs_change(motion: Motion) -> bool:
-    """Return whether a leg changes by more than its sag at the lowest tension."""
-    legs = motion.legs.coefficients
-    lowest_tensions = np.min(stated_tensions(motion)[..., 0], axis=0)
-    longest_legs = np.max(legs, axis=(0, -1))
-    sag = sag_factors(motion.team, lowest_tensions)[:, None] * longest_legs**3
-    return bool(np.any(np.ptp(legs, axis=(0, -1)) > sag + MAX_LEG_DRIFT))
-
-
-def _pulls_differ(motion: Motion) -> bool:
-    """Return whether a drone's cable pulls with another tension than that of its edge."""
-    pulls = motion.pulls.coefficients.reshape(motion.drones.pieces, motion.team.robots, 2, -1)
-    differences = np.abs(pulls - motion.tensions.coefficients[:, :, None])
-    return bool(np.max(differences) > TENSION_LIMIT)
-
-
-def _has_open_clasp(motion: Motion) -> bool:
-    """Return whether a pair lies across at the start or at the end."""
-    start, change = roll_changes(motion)
-    return bool(np.any(np.abs([start, start + change]) >= OPEN_ROLL))
-
-
-def _is_loaded(motion: Motion) -> bool:
-    """Return whether clasps carry a load, or an object that moves or rests on them."""
-    if np.any(carried_objects(motion)) or np.any(motion.team.load):
-        return True
-    holds = (phase.hold for phase in motion.phases)
-    return any(hold is not None and hold.by is HoldBy.REST for hold in holds)
-
-
 def _not_tightening(motion: Motion) -> Flags:
     """Return all cables (n,) unless they are slack for most of the time."""
     return np.full(motion.team.robots, _taut_share(motion) > MAX_TAUT_SHARE)
@@ -158,9 +79,6 @@ def _not_tightening(motion: Motion) -> Flags:
 
 CONTRADICTING_CABLES: dict[CableState, Callable[[Motion], Flags]] = {
     CableState.GROUND: _off_ground,
-    CableState.DRAWN: _not_drawn,
-    CableState.LAYING: _not_laid,
-    CableState.ROLLING: _not_rolling,
     CableState.TIGHTENING: _not_tightening,
 }
 """Functions that return the cables (n,) which contradict a state."""
@@ -182,12 +100,6 @@ def _wrong_clasping_pairs(motion: Motion) -> Indices:
     drifts = np.max(np.ptp(centres, axis=(0, -1)), axis=-1)
     drifting: Indices = pairs[drifts > MAX_DRIFT]
     return drifting
-
-
-def chord_squares(motion: Motion) -> Array:
-    """Return squared lengths of cables' chords (pieces, n, degree + 1) [m²]."""
-    chords = motion.drones.coefficients[:, 1::2] - motion.drones.coefficients[:, 0::2]
-    return bernstein.dot(chords, chords)
 
 
 def _taut_share(motion: Motion) -> float:

@@ -30,7 +30,6 @@ from hitchopt.checks.spans import (
     magnitude,
 )
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.forces import sag_factors
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, CableState, Motion
 from hitchopt.objects.placing import REST_DRIFT
@@ -50,7 +49,6 @@ TENSION_LIMIT = 1e-4
 """[N] Largest error of a tension: a quarter of a thousandth of a usual one, far below what a drone
 can measure."""
 
-SAG_SHARE = 0.2  # Largest error of the chord of a laid cable, relative to its sag
 RATIO_ORDER = 4  # Degree of a weight over a tension: both hardly change on spans that matter
 
 
@@ -149,21 +147,6 @@ def _span_ratio(spans: Cables) -> Bound:
     return spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise).norm_upper
 
 
-def _taut_error(spans: Cables) -> Bound:
-    """Return the relative error of the chord of a laid cable, beyond SAG_SHARE of its sag.
-
-    The error is relative to the length with the sag at the team's tension. Within SAG_SHARE, the
-    tension is within an eighth of the team's.
-    """
-    team = spans.source.team
-    drones = spans.source.drones.coefficients
-    chord = spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise)
-    sag = sag_factors(team, team.tension) * team.cable_length**2
-    sag_excess = chord.norm * chord.xy.dot(chord.xy) * sag[spans.item, None]
-    error = (chord.norm + sag_excess - 1.0).norm_upper
-    return Bound(np.maximum(error.value - SAG_SHARE * sag[spans.item], 0.0), error.x)
-
-
 def _size(motion: Motion) -> float:
     """Return the largest coordinate of a motion over its shortest cable."""
     return magnitude(motion) / float(np.min(motion.team.cable_length))
@@ -181,7 +164,6 @@ CABLE_LENGTH = CheckRule(
     (
         LENGTH_ERROR,
         Evaluator(WorstOverSpans(Cables, _shortfall, "max"), frozenset({CableState.TIGHTENING})),
-        Evaluator(WorstOverSpans(Cables, _taut_error, "max"), frozenset({CableState.LAYING})),
     ),
     free_remedy="use a longer cable",
     ease="length",
@@ -192,8 +174,7 @@ CABLE_LENGTH = CheckRule(
     unproven="how far it stretches",
     exported_limit=EXPORTED_LIMIT,
 )
-"""Relative error of a cable's length; during tightening, the missing length; of laid cables, the
-error of their chords beyond a fifth of their sag."""
+"""Relative error of a cable's length; during tightening, the missing length."""
 
 SPAN = CheckRule(
     "span",

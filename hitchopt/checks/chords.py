@@ -24,8 +24,7 @@ from hitchopt.checks.distances import Flags, Moving, PairSpans, near_pairs
 from hitchopt.checks.hanging import cables_and_drones, chains
 from hitchopt.errors import check_time
 from hitchopt.geometry import shortest_offset
-from hitchopt.geometry.vectors import cross, left_of, unit
-from hitchopt.hitch.catenary import Catenary
+from hitchopt.geometry.vectors import left_of, unit
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Enclosed
@@ -225,38 +224,3 @@ def _outside_sheet(spans: PairSpans) -> Flags:
         deviation = np.abs(along[:, 2]) * np.max(tolerance, axis=1)
         outside |= smallest > MIN_DISTANCE + deviation
     return outside
-
-
-def height_gaps(motion: Motion) -> Array:
-    """Return the height of cables ahead above those behind (clasps, pieces, degree + 1) [m].
-
-    Cables move vertically. Heights are those at the crossing of their chords, seen from above; nan
-    if they do not cross.
-    """
-    drones = motion.drones.coefficients
-    ahead = motion.team.layout.ahead
-    behind = motion.team.layout.behind
-    q = drones[0, 0::2, :, 0]
-    r = drones[0, 1::2, :, 0]
-    chords = r - q
-    catenaries = Catenary.between(q, r, motion.team.cable_length)
-    lifts = drones[:, 0::2, 2] - drones[:1, 0::2, 2, :1]  # (pieces, n, degree + 1)
-
-    def heights(cables: Indices, fractions: Array) -> Array:
-        """Return the heights of cables at fractions of their chords (clasps, pieces, …) [m]."""
-        on_chord = np.where((fractions > 0.0) & (fractions < 1.0), fractions, np.nan)
-        parameter = np.full(motion.team.robots, np.nan)  # from -1 at q to 1 at r
-        parameter[cables] = 2.0 * on_chord - 1.0
-        on_chords = q[:, 2] + 0.5 * (1.0 + parameter) * chords[:, 2]
-        heights_at_start = on_chords - catenaries.depth(parameter)
-        lifts_of_cables = np.moveaxis(lifts[:, cables], 1, 0)
-        return np.asarray(heights_at_start[cables][:, None, None] + lifts_of_cables)
-
-    offset = (q[behind] - q[ahead])[:, :2]
-    chord_ahead = chords[ahead][:, :2]
-    chord_behind = chords[behind][:, :2]
-    turn = cross(chord_ahead, chord_behind)
-    with np.errstate(all="ignore"):
-        fraction_ahead = cross(offset, chord_behind) / turn
-        fraction_behind = cross(offset, chord_ahead) / turn
-    return heights(ahead, fraction_ahead) - heights(behind, fraction_behind)

@@ -37,7 +37,7 @@ from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
-from hitchopt.motion.motion import HITCHED_STATE, OPEN_STATES, Motion
+from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -46,11 +46,6 @@ from hitchopt.values import Array, Indices, lazy
 
 BALANCE_LIMIT = 5e-3  # Relative to the tension: vertices are then within millimetres
 OPEN_ROLL = 175.0  # [deg] Smallest roll of open clasps: at 180° both cables are straight
-MAX_PAST_ROLL = math.degrees(2.0 * math.asin(0.5 * BALANCE_LIMIT))
-"""[deg] Largest roll past lying across: cables would have to pull on each other there by
-BALANCE_LIMIT of their tension, as much as forces may be out of balance."""
-
-MAX_HALVINGS = 12  # of pieces on which rolls are not yet bounded
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
 LEG_ENDS = np.array([0, 1])  # Legs at a clasp: q of the cable ahead, r of the cable behind
 
@@ -340,19 +335,14 @@ def _relative(force: Enclosed, spans: Clasps) -> Bound:
 
 
 def _balance(spans: Clasps) -> Bound:
-    """Return the norm of the residual over the smaller tension; infinite where a clasp is open.
-
-    Rolling pairs may be open: ``roll_changes`` follows their angles. Near 180°, the weight that
-    cables transfer to each other exceeds their contact force.
-    """
+    """Return the norm of the residual over the smaller tension; infinite where a clasp is open."""
     residual = _relative(spans.residual, spans)
     if spans.hooked is not None and spans.hooked.all():
         return residual
     opening = _opening(spans)
     if has_loads(spans.source):
         opening = largest_of([opening, _rolling(spans)])
-    may_open = spans.source.in_states(OPEN_STATES)[spans.piece]
-    hooked = (opening.value < 0.0) | may_open
+    hooked = opening.value < 0.0
     spans.hooked = hooked  # the search halves these spans: halves of hooked ones stay hooked
     value = np.where(hooked, residual.value, np.inf)
     return Bound(value, np.where(hooked, residual.x, opening.x))
@@ -397,61 +387,6 @@ def _rolling(spans: Clasps) -> Bound:
     least_sine = least_sine * terms.pull.norm_lower.value
     cosine = terms.cosine.lower
     return Bound(math.tan(math.radians(OPEN_ROLL)) * cosine.value - least_sine, cosine.x)
-
-
-def roll_changes(motion: Motion) -> tuple[Array, Array]:
-    """Return rolls at the start and their continuous changes (clasps,) [deg].
-
-    Changes are nan if a piece is too long to follow a roll on it.
-    """
-    clasps = len(motion.team.layout.clasps)
-    start = np.zeros(clasps)
-    change = np.zeros(clasps)
-    for spans in Clasps.of(motion):
-        roll_at_start = spans.at(0.0).rolls()
-        roll_in_middle = spans.at(0.5).rolls()
-        roll_at_end = spans.at(1.0).rolls()
-        terms = spans.roll_terms
-        middle = np.radians(roll_in_middle)[:, None]
-        sine = terms.sine_over_pull * terms.pull.norm
-        toward_middle = terms.cosine * np.cos(middle) + sine * np.sin(middle)
-        followed = toward_middle.lower.value > 0.0  # within a right angle of that at mid span
-        steps = (roll_at_end - roll_at_start + 180.0) % 360.0 - 180.0
-        np.add.at(change, spans.item, np.where(followed, steps, np.nan))
-        first_piece = spans.piece == 0
-        start[spans.item[first_piece]] = roll_at_start[first_piece]
-    return start, change
-
-
-def roll_past(motion: Motion, senses: Array, tolerance: float) -> NDArray[np.bool_]:
-    """Return which pairs may roll past lying across (clasps,), by more than a tolerance [deg].
-
-    A pair of the sense s, 1 or -1, rolls between its clasp, at 0, and lying across, at ``-180° s``:
-    beyond, its cables would have to pull on each other. Rolls are continuous, so it suffices that
-    each is always on the side of its sense, or within a right angle of the clasp.
-    """
-    past = np.zeros(len(senses), dtype=np.bool_)
-    for whole in Clasps.of(motion):
-        spans = whole
-        for _ in range(MAX_HALVINGS):
-            spans = spans.take(_past(spans, senses, tolerance) > 0.0)
-            if not len(spans):
-                break
-            middle = spans.at(0.5)
-            past[spans.item[_past(middle, senses, tolerance) > 0.0]] = True
-            spans = spans.take(~past[spans.item]).halves()
-        past[spans.item] = True
-    return past
-
-
-def _past(spans: Clasps, senses: Array, tolerance: float) -> Array:
-    """Return bounds (spans,), positive where pairs may roll past lying across."""
-    terms = spans.roll_terms
-    angle = math.radians(tolerance)
-    cosine_and_sense = math.cos(angle) * senses[spans.item, None]
-    turned = terms.sine_over_pull * terms.pull.norm * cosine_and_sense
-    beyond = turned + terms.cosine * math.sin(angle)
-    return np.minimum(beyond.upper.value, -terms.cosine.lower.value)
 
 
 def _worst_residual(motion: Motion, limit: float) -> WorstCase:

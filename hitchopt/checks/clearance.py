@@ -96,12 +96,6 @@ def _drones_and_chords(motion: Motion) -> Iterator[Moving]:
     yield Moving.between(motion, drones, chords, allowed=lambda drone, cable: drone // 2 != cable)
 
 
-def _drones_and_drawn(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of drones and the chords of other cables, and of drawn cables and the ground."""
-    yield from _drones_and_chords(motion)
-    yield cables_and_ground(motion)
-
-
 def _drones_and_hanging(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of hanging cables and drones, those of other cables and their own, or the ground.
 
@@ -143,8 +137,6 @@ def _loose_and_ground(motion: Motion) -> Iterator[Moving]:
 
 
 ON_GROUND = frozenset({CableState.GROUND})
-DRAWN = frozenset({CableState.DRAWN})
-LAYING = frozenset({CableState.LAYING})
 
 CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
@@ -154,15 +146,13 @@ CABLE_CLEARANCE = CheckRule(
     (
         Evaluator(nearest(_drones_and_taut), TAUT_STATES, exported=True, formulas=(gap,)),
         Evaluator(nearest(_drones_and_chords), ON_GROUND, exported=True),
-        Evaluator(nearest(_drones_and_drawn), DRAWN, exported=True),
         Evaluator(
             nearest(_drones_and_hanging),
-            FREE_STATES - ON_GROUND - DRAWN - LAYING - LOOSE,
+            FREE_STATES - ON_GROUND - LOOSE,
             exported=True,
             formulas=(chain_distance,),
         ),
         Evaluator(nearest(_loose_and_ground), LOOSE, exported=True),
-        Evaluator(nearest(_drones_and_hanging), LAYING, exported=True),
         Evaluator(
             nearest(_drones_and_clasped),
             FREE_STATES | TAUT_STATES,
@@ -182,10 +172,7 @@ CABLE_CLEARANCE = CheckRule(
     "hanging cables to the ground",
     unproven="how ropes swing, and touch while pairs swap",
 )
-"""Distance of cables from other drones and the ground; horizontal while they lie on it.
-
-Cables that are drawn taut rise: their distances from drones are horizontal, too.
-"""
+"""Distance of cables from other drones and the ground; horizontal while they lie on it."""
 
 
 def _drones_and_objects(motion: Motion, *, held: bool) -> Iterator[Moving]:
@@ -333,7 +320,7 @@ def _hanging_and_objects(motion: Motion) -> Iterator[Moving]:
     Horizontally, a cable is on its chord; a hanging one may also pass above an object.
     """
     for part in phase_parts(motion):
-        is_on_chord = part.phase.state in ON_GROUND | DRAWN
+        is_on_chord = part.phase.state in ON_GROUND
         cables = cables_and_drones(part.motion)
         ends = Enclosed(cables.first)
         options: dict[str, Any] = {
@@ -482,12 +469,10 @@ OBJECT_CLEARANCE = CheckRule(
         Evaluator(nearest(moving_object_pairs), TAUT_STATES),
         Evaluator(
             nearest(_hanging_and_objects),
-            FREE_STATES - DRAWN - LAYING,
+            FREE_STATES,
             exported=True,
             formulas=(beside_or_above,),
         ),
-        Evaluator(nearest(_hanging_and_objects), LAYING, exported=True),
-        Evaluator(nearest(_hanging_and_objects), DRAWN, exported=True),
         Evaluator(nearest(_clasped_and_objects), FREE_STATES | TAUT_STATES),
     ),
     "fly higher over objects or farther away, lift the held one higher, use shorter cables, place "

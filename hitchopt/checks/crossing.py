@@ -31,18 +31,9 @@ from hitchopt.motion.motion import (
     FREE_STATES,
     TAUT_STATES,
     UNLINKED_STATES,
-    CableState,
     Motion,
 )
 from hitchopt.values import Indices
-
-MAX_SIDEWAYS = 1e-6  # [m] Largest horizontal motion of drones that move vertically
-
-
-def upright_pieces(motion: Motion) -> Flags:
-    """Return on which pieces (pieces,) all drones move vertically, or rest."""
-    level = motion.drones.coefficients[:, :, :2]
-    return np.asarray(np.max(np.ptp(level, axis=-1), axis=(1, 2)) <= MAX_SIDEWAYS)
 
 
 def _taut_parts(motion: Motion) -> Iterator[Moving]:
@@ -71,8 +62,6 @@ def _hanging_cables(motion: Motion) -> Iterator[Moving]:
         is_linked = part.phase.state not in UNLINKED_STATES
         allowed = partial(_unclasped, motion.team.layout) if is_linked else None
         yield Moving.between(part.motion, chords, allowed=allowed)
-        if part.phase.state is CableState.LAYING:
-            yield _laid_neighbours(part.motion)
 
 
 def _unclasped(layout: Layout, first: Indices, second: Indices) -> Flags:
@@ -95,17 +84,6 @@ def _clasped_cables(motion: Motion) -> Iterator[Moving]:
     )
 
 
-def _laid_neighbours(motion: Motion) -> Moving:
-    """Return the pairs of neighbours, on pieces on which drones move horizontally."""
-    layout = motion.team.layout
-
-    def neighbours(first: Indices, second: Indices) -> Flags:
-        return ~_unclasped(layout, first, second)
-
-    strips = replace(clasped_cables(motion), pieces=~upright_pieces(motion))
-    return Moving.between(motion, strips, allowed=neighbours)
-
-
 CROSSING = CheckRule(
     "crossing",
     "m",
@@ -125,8 +103,4 @@ CROSSING = CheckRule(
     "seen from above",
     unproven="neighbours that are being clasped or released, which may touch",
 )
-"""Cable parts that share no clasp keep a distance.
-
-Laid neighbours may be above each other; while they come down on each other, the check
-``interlacing`` compares them.
-"""
+"""Cable parts that share no clasp keep a distance."""

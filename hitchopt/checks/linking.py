@@ -23,11 +23,7 @@ from hitchopt.checks.cable_states import contradictions
 from hitchopt.checks.chords import (
     chord_crossings,
     drones_inside_hanging_cables,
-    height_gaps,
 )
-from hitchopt.checks.clasps import MAX_PAST_ROLL, OPEN_ROLL, roll_changes, roll_past
-from hitchopt.checks.crossing import CROSSING, upright_pieces
-from hitchopt.checks.distances import Flags
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, accumulated, worst_at_joint
 from hitchopt.checks.spans import (
     PhasePart,
@@ -40,12 +36,10 @@ from hitchopt.checks.spans import (
 )
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
-from hitchopt.hitch.pairs import MIN_GAP
 from hitchopt.motion.motion import (
     CLASPED_STATES,
     FREE_STATES,
     JOINT,
-    LAID_STATES,
     TAUT_STATES,
     UNLINKED_STATES,
     CableState,
@@ -53,11 +47,10 @@ from hitchopt.motion.motion import (
     Phase,
 )
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, Indices, true_runs
+from hitchopt.values import Array, Indices
 
 MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
 JUMP_UNITS = "m", "m/s", "m/s²"  # Units of jumps of positions, velocities and accelerations
-MAX_LAID_GAP = 0.02  # [m] Largest distance of cables that lie on each other: their sags differ
 
 TIED_STATES = CLASPED_STATES - {CableState.CLASPING}
 """States without a hitch in which a plan of a tied team may begin."""
@@ -68,7 +61,7 @@ MAX_NAMED = 12  # Maximum number of pairs in ``where``
 def _largest_jump(motion: Motion, _: float) -> WorstCase:
     """Return the largest sum of jumps at joints: positions [m], velocities, accelerations [m/s²].
 
-    Drones and objects are compared, and vertices, legs and their inner ends while cables are taut.
+    Drones and objects are compared, and vertices and legs while cables are taut.
     """
     curves = [(motion.drones, motion.team.drone_names)]
     if motion.requirements.objects:
@@ -176,7 +169,6 @@ def _contradictions(motion: Motion) -> Iterator[Contradiction]:
         (state, list(parts))
         for state, parts in groupby(phase_parts(motion), lambda part: part.phase.state)
     ]
-    states = [None, *(state for state, _ in runs), None]
     for i, (state, parts) in enumerate(runs):
         first = parts[0]
         last = parts[-1]
@@ -185,22 +177,14 @@ def _contradictions(motion: Motion) -> Iterator[Contradiction]:
         if state is CableState.LOOSE and i > 0:  # plans begin with a loss
             start = float(first.motion.drones.breaks[0])
             yield Contradiction(first.phase, ties.pairs, start)
-        if state not in LAID_STATES:
-            yield from _contradictions_at_start(state, first, ties)
-        if is_hitched:
-            ties.senses[:] = ties.numbers
+        yield from _contradictions_at_start(state, first, ties)
         if is_hitched and is_last:  # loaded clasps and separated parts stay linked
             continue
         pieces = slice(first.pieces.start, last.pieces.stop)
         span = motion.slice_pieces(
             pieces, [phase for part in parts for phase in part.motion.phases]
         )
-        if state in LAID_STATES:
-            before = states[i]
-            after = states[i + 2]
-            yield from _contradictions_while_laid(span, parts, ties, before, after)
-        else:
-            yield from _contradicting_crossings(span, parts, ties, is_last=is_last)
+        yield from _contradicting_crossings(span, parts, ties, is_last=is_last)
 
 
 def _required_number(state: CableState) -> int | None:
@@ -245,49 +229,18 @@ def _contradicting_crossings(
         yield Contradiction(phase, pairs[selected], crossings.time[selected])
         if state is CableState.HITCHED:
             continue
-        compared = span if state is CableState.DRAWN else motion
-        yield Contradiction(phase, contradictions(compared), float(motion.drones.breaks[0]))
+        yield Contradiction(phase, contradictions(motion), float(motion.drones.breaks[0]))
         if state not in (CableState.GROUND, CableState.LOOSE):  # there, all keep a distance
             drone, cable, time = drones_inside_hanging_cables(motion)
             yield Contradiction(phase, pair_of(layout, drone // 2, cable), time)
 
 
-def _contradictions_while_laid(
-    span: Motion,
-    parts: Sequence[PhasePart],
-    ties: Ties,
-    before: CableState | None,
-    after: CableState | None,
-) -> Iterator[Contradiction]:
-    """Yield what contradicts one of LAID_STATES, on a span of its phases; update the ties.
-
-    The states ``before`` and ``after`` it are None at the ends of the plan.
-    """
-    last = parts[-1]
-    invalid = ties.followed(last.phase.state, span, before, after)
-    yield Contradiction(last.phase, ties.pairs[invalid], float(last.motion.drones.breaks[-1]))
-    for phase, _, motion in parts:
-        start = float(motion.drones.breaks[0])
-        yield Contradiction(phase, contradictions(motion), start)
-        if phase.state is CableState.ROLLING:
-            yield Contradiction(phase, ties.pairs[ties.past(motion)], start)
-
-
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """Ties of neighbours, updated along a plan, each (clasps,) in the ``order`` of ``pairs``.
-
-    Pairs that lie across roll by half a turn in the sense of the sign in which they lie, which
-    becomes their crossing number.
-    """
+    """Ties of neighbours, updated along a plan, each (clasps,) in the order of ``pairs``."""
 
     pairs: Indices  # Pairs of neighbours, sorted
-    order: Indices  # Their clasps
     numbers: Indices  # Crossing numbers
-    senses: Indices  # Senses of clasps, 1 or -1
-    lying: Indices
-    """1 where the cable ahead lies on the one behind, -1 where below it, 0 where they are apart or
-    clasped."""
 
     @classmethod
     def at_start(cls, motion: Motion) -> Ties:
@@ -296,111 +249,9 @@ class Ties:
         An initial hitch, taut or to be tightened, is assumed to be tied with every q going up
         first: 1 for neighbours.
         """
-        pairs = clasped_pairs(motion.team.layout)
-        order = np.argsort(pairs)
+        pairs = np.sort(clasped_pairs(motion.team.layout))
         is_tied = motion.formed[0] or motion.phases[0].state in TIED_STATES
-        numbers = np.full(len(order), int(is_tied), dtype=np.intp)
-        return cls(
-            pairs=np.sort(pairs),
-            order=order,
-            numbers=numbers,
-            senses=numbers.copy(),
-            lying=np.zeros_like(numbers),
-        )
-
-    def followed(
-        self,
-        state: CableState,
-        motion: Motion,
-        before: CableState | None,
-        after: CableState | None,
-    ) -> Flags:
-        """Update the ties in one of LAID_STATES, and return invalid pairs (clasps,)."""
-        if state is CableState.LAYING:
-            return self.lay(motion, before, after)
-        return self.roll(motion, after)
-
-    def lay(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
-        """Update the ties while cables are laid or lifted, and return invalid pairs (clasps,).
-
-        While cables move vertically, all neighbours cross, seen from above. They come down before
-        they roll, or rise after that, and the upper one stays above.
-        """
-        after_rolling = before is CableState.ROLLING
-        before_rolling = after is CableState.ROLLING
-        min_gap = max(CROSSING.limit_of(motion) or 0.0, MIN_GAP)
-        upright = upright_pieces(motion)
-        wrong: Flags = (self.numbers != 0) & (not after_rolling)
-        wrong |= after_rolling and not upright[0]
-        wrong |= before_rolling and not upright[-1]
-        lying_after = np.zeros_like(self.lying)
-        for start, stop in true_runs(upright):
-            rising = after_rolling and start == 0
-            descending = before_rolling and stop == len(upright)
-            span = motion.slice_pieces(slice(start, stop), motion.phases)
-            above, invalid = self._vertical(span, min_gap, rising=rising, descending=descending)
-            wrong |= invalid
-            if descending and not rising:
-                lying_after = above
-        self.numbers[:] = 0
-        self.lying[:] = lying_after
-        return wrong
-
-    def _vertical(
-        self, motion: Motion, min_gap: float, *, rising: bool, descending: bool
-    ) -> tuple[Indices, Flags]:
-        """Return signs and invalid pairs (clasps,) of a motion on which cables move vertically.
-
-        A sign is 1 where the cable ahead is above the one behind, -1 where it is below, and 0
-        where they do not cross. Cables keep ``min_gap`` [m] but where they lie on each other.
-        """
-        gaps = height_gaps(motion)[self.order]
-        gap_at_start = gaps[:, 0, 0]
-        gap_at_end = gaps[:, -1, -1]
-        contact = gap_at_start if rising else gap_at_end
-        clearance = gap_at_end if rising else gap_at_start
-        above = np.sign(np.nan_to_num(clearance)).astype(np.intp)
-        invalid = ~(np.abs(clearance) >= min_gap)
-        least_gap = np.full(len(clearance), min_gap)
-        smallest_gap = np.min(above[:, None, None] * gaps, axis=(1, 2))
-        if rising or descending:
-            invalid |= ~(np.abs(contact) <= MAX_LAID_GAP)
-            invalid |= rising & (above != self.lying)
-            least_gap = above * contact - MAX_JUMP
-        invalid |= ~(smallest_gap >= least_gap)
-        if not (rising or descending):  # at rest, nothing crosses
-            invalid &= ~np.isnan(clearance)
-        return above, invalid
-
-    def roll(self, motion: Motion, after: CableState | None) -> Flags:
-        """Update the ties while cables roll, and return invalid pairs (clasps,).
-
-        Pairs roll by half a turn, in the sense in which they lie. At the start of a plan, no pair
-        is open: its curves do not show which cable lies on the other.
-        """
-        rolls_at_start, changes = roll_changes(motion)
-        start = rolls_at_start[self.order]
-        change = changes[self.order]
-        lies_across = np.abs(start) >= OPEN_ROLL
-        wrong = np.isnan(change)
-        wrong |= lies_across != (self.lying != 0)
-        wrong |= ~lies_across & (np.abs(self.numbers) != 1)
-        self.senses[:] = np.where(lies_across, self.lying, self.senses)
-        across = -180.0 * self.senses  # roll of a pair that lies across
-        nearest_to_across = across + (start - across + 180.0) % 360.0 - 180.0
-        end = np.where(lies_across, nearest_to_across, start) + np.nan_to_num(change)
-        ends_across = np.abs(end - across) <= 180.0 - OPEN_ROLL
-        wrong |= ~ends_across & (np.abs(end) >= OPEN_ROLL)
-        wrong |= ends_across & (after is CableState.HITCHED)
-        self.numbers[:] = np.where(lies_across, self.senses, self.numbers)
-        self.lying[:] = np.where(ends_across, self.senses, 0)
-        return wrong
-
-    def past(self, motion: Motion) -> Flags:
-        """Return pairs that roll past lying across on a motion of one state (clasps,)."""
-        senses = np.empty(len(self.order))
-        senses[self.order] = self.senses
-        return roll_past(motion, senses, MAX_PAST_ROLL)[self.order]
+        return cls(pairs, np.full(len(pairs), int(is_tied), dtype=np.intp))
 
 
 INTERLACING = CheckRule(

@@ -23,14 +23,13 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.piecewise import locate, merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 
 # Changes that separate a drone from another one, or from a cable, of one hitch
 LONGER_LEGS = "use a longer cable or a smaller polygon"
 LARGER_POLYGON = "a larger polygon"
-UNEQUAL_LEGS = "choose legs that differ more at the vertex"
 OTHER_LEGS = "change the leg lengths: use cables of another length, or another polygon"
 
 PARALLEL = 0.02
@@ -68,11 +67,7 @@ def _leg_change(motion: Motion, check: Check) -> str:
     if other_cable != cable:
         ends = layout.starts[other_cable], layout.ends[other_cable]
         vertices_of_other = ends if cables else (layout.anchors[drones[1]],)
-        change = OTHER_LEGS
-        if layout.anchors[drone] in vertices_of_other:
-            is_rolling = not cables and _is_rolling(motion, check.time)
-            change = UNEQUAL_LEGS if is_rolling else LONGER_LEGS
-        return change
+        return LONGER_LEGS if layout.anchors[drone] in vertices_of_other else OTHER_LEGS
     if not np.all(layout.has_leg[cable]):
         return OTHER_LEGS
     time = float(np.clip(check.time, *motion.drones.breaks[[0, -1]]))
@@ -93,12 +88,6 @@ def _leg_change(motion: Motion, check: Check) -> str:
         return f"use {LARGER_POLYGON}"
     polygon = f" or {LARGER_POLYGON}" if motion.hold_at(time) is None else ""  # or the object's
     return f"use a {'shorter' if spread < 0.0 else 'longer'} cable{polygon}"
-
-
-def _is_rolling(motion: Motion, time: float) -> bool:
-    """Return whether pairs roll about their vertices, where their drones pass each other."""
-    piece, _ = locate(motion.drones.breaks, np.clip(time, *motion.drones.breaks[[0, -1]]))
-    return bool(motion.in_states({CableState.ROLLING})[piece])
 
 
 def _scaled_drones(

@@ -4,13 +4,8 @@ It is the largest r such that all distances keep their limits at all times, with
 r of its plan and every vertex within γ r, independently of each other, and taut parts of cables
 straight between them. For two drones, it is half the shortest shift of their offset with which
 their ellipsoids touch; for other bodies, the slack of checks divided by the approach of both. A
-hanging cable moves with its ends, and its depth changes. A cable that is drawn taut hangs no lower
-than before. Where errors could pull it taut, its drones move at no more than DRAWING_SPEED: faster
-ones would snap it. A cable that is loose after a loss may be pulled taut, as the check
-``loss_displacement`` assumes. A laid cable is taut, as in a hitch: its drones pull it, and it moves
-with them. Neighbours that come down on each other are meant to touch: their order is that of the
-check ``interlacing``, which errors do not change, since cables keep ``crossing`` where they slide
-in.
+hanging cable moves with its ends, and its depth changes. A cable
+that is loose after a loss may be pulled taut, as the check ``loss_displacement`` assumes.
 
 If ``limits.tracking`` is larger vertically than horizontally, errors are within an ellipsoid with
 radius r and the same ratio of height and radius. Heights are divided by this ratio in all
@@ -39,7 +34,7 @@ from hitchopt.checks.arena import ARENA, drone_wall_gap
 from hitchopt.checks.bodies import LOOSE, drones_of
 from hitchopt.checks.cables import SPAN
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import CABLE_CLEARANCE, DRAWN, LAYING, OBJECT_CLEARANCE
+from hitchopt.checks.clearance import CABLE_CLEARANCE, OBJECT_CLEARANCE
 from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, smaller_case, smallest
 from hitchopt.checks.downwash import DOWNWASH, drones_above_objects, lead
 from hitchopt.checks.drones import Drones
@@ -56,13 +51,6 @@ from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
 GAMMA = 1.0  # Default ratio of vertex errors to drone errors
-
-DRAWING_SPEED = 0.03
-"""[m/s] Largest speed of drones that draw a cable taut. Two drones of 2 kg at this speed stop at a
-straight cable of 17 kN/m with 8 N, those of 130 g with 2 N."""
-
-DRAWING_SLOPE = 1000.0
-"""[s] Length over a speed below DRAWING_SPEED: large, as slow drones are no limit."""
 
 HANGING_CHECKS = (CABLE_CLEARANCE, OBJECT_CLEARANCE)  # Distances of cables that hang
 HALVINGS = 40  # Bisection steps for the radius of hanging cables
@@ -152,13 +140,11 @@ def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
 
 def _span_radii(motion: Motion) -> Iterator[WorstCase]:
     """Yield the radii [m] with which free cables are as long as their chords."""
-    hanging = FREE_STATES - DRAWN - LAYING - LOOSE
-    for states, excess in ((hanging, _excess), (DRAWN, _excess_unless_slow)):
-        for span in motion.spans(states):
-            tightest = worst(Drones.of(span), excess, "min")
-            cable = cable_names(span)[tightest.item // 2]
-            radius = max(0.5 * tightest.worst, 0.0)
-            yield WorstCase(radius, tightest.time, (cable,), binding=SPAN.name)
+    for span in motion.spans(FREE_STATES - LOOSE):
+        tightest = worst(Drones.of(span), _excess, "min")
+        cable = cable_names(span)[tightest.item // 2]
+        radius = max(0.5 * tightest.worst, 0.0)
+        yield WorstCase(radius, tightest.time, (cable,), binding=SPAN.name)
 
 
 def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check, Motion]]:
@@ -186,7 +172,7 @@ def _slack(check: Check) -> float:
 
 def _is_hanging(result: SpanResult) -> bool:
     """Return whether cables hang in a time span: neither taut nor replaced by their chords."""
-    others = ({CableState.GROUND}, DRAWN, LAYING, LOOSE)
+    others = ({CableState.GROUND}, LOOSE)
     return result.states.isdisjoint(TAUT_STATES) and result.states not in others
 
 
@@ -209,13 +195,6 @@ def _excess(spans: Drones) -> Bound:
     missing = np.maximum(spans.length**2 - across**2 - height**2, 0.0)
     by_axes = missing / (growth + np.sqrt(growth * growth + squares * missing))
     return Bound(np.maximum(by_axes, excess / ratio), chord.x)
-
-
-def _excess_unless_slow(spans: Drones) -> Bound:
-    """Return twice the radius [m] at which drones that are not slow may pull cables taut."""
-    speed, excess = spans.motion_rate(1).norm_upper, _excess(spans)
-    slowness = DRAWING_SLOPE * (DRAWING_SPEED - speed.value)
-    return Bound(np.maximum(excess.value, slowness), excess.x)
 
 
 def _hanging_radius(span: Motion, check: Check) -> float:

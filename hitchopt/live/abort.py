@@ -16,7 +16,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial, reduce
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -483,16 +483,12 @@ def _turning_senses(whole: Motion) -> Array | None:
     """Return the senses in which pairs turned to form the hitch (clasps,): 1 if q rose first."""
     layout = whole.team.layout
     phases = whole.phases
-    pairs = enumerate(pairwise(phases))
-    laid = [i for i, (a, b) in pairs if a.state is CableState.LAYING and b.formed]
     tying = next((phase for phase in phases if phase.state is CableState.CLASPING), None)
-    if laid:  # after laying and a rest the pairs roll: the upper drones descend
-        tying = phases[laid[0] + 2]
     if tying is None:
         return None
     heights = whole.drones.at(0.5 * (tying.start + tying.end))[:, 2]
     above = heights[2 * layout.ahead] >= heights[2 * layout.behind + 1]
-    return np.where(above == (not laid), 1.0, -1.0)
+    return np.where(above, 1.0, -1.0)
 
 
 @dataclass(frozen=True, eq=False)

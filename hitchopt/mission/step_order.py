@@ -12,7 +12,6 @@ from hitchopt.mission.starts import words_of
 from hitchopt.objects import SolidObject
 from hitchopt.steps import STEPS
 from hitchopt.steps.step import Stage, Step
-from hitchopt.steps.tying import check_rollable
 from hitchopt.values import closest_word, text
 
 
@@ -46,8 +45,6 @@ def resolved_steps(
             stage = stage.after(step, objects)
             before = outline
             outline = step.checked_polygon_after(team, outline, reason)
-            if step.rolls_pairs:
-                check_rollable(f"step {i} ({step.name})", team)
             if (before is None) is not (outline is None):
                 reason = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
             check_blend(steps, i)
@@ -78,13 +75,8 @@ class ObjectStage:
         if self.stage is not begin:
             kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
             remedy = f"{kinds} an object, in this order"
-            current = str(self.stage)
-            required = str(begin)
-            if Stage.OPEN in (self.stage, begin):
-                remedy, tied = "open_vertex, then hold or close_vertex", "no open vertex"
-                current, required = (x.replace(Stage.FREE, tied) for x in (current, required))
-            found = Circumstance(f"{step.name} needs {required}, and there is {current}")
-            raise InputError("", found, f"{required}", remedy)
+            found = Circumstance(f"{step.name} needs {begin}, and there is {self.stage}")
+            raise InputError("", found, f"{begin}", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError(
                 "object", name, f"{self.name}, the one enclosed", "leave that one first"

@@ -38,27 +38,20 @@ class CableState(StrEnum):
 
     - ``GROUND``: cables lie at least partly on the ground; drones fly straight up or down.
     - ``CLASPING``: drones of neighbouring cables turn about each other.
-    - ``LAYING``: each cable is taut on its own and moves without turning.
-    - ``ROLLING``: pairs of cables cross without a clasp, or roll between crossing and clasp, with
-      all vertices at rest.
-    - ``DRAWN``: a hanging cable's drones move apart, at rest in height, until it is straight.
     - ``LOOSE``: cables hold each other, and none is taut since another one was lost at the start.
     """
 
     NONE = "none"
     GROUND = "on the ground"
     FREE = "hanging free"
-    DRAWN = "being drawn taut"
     CLASPING = "clasping"
     TIGHTENING = "being tightened"
-    LAYING = "being laid"
-    ROLLING = "rolling"
     LOOSE = "loose after a loss"
     HITCHED = "hitched"
 
 
-HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING})
-"""States in which the hitch exists: vertices, legs and tensions have a meaning."""
+HITCHED_STATE = frozenset({CableState.HITCHED})
+"""State in which the hitch exists: vertices, legs and tensions have a meaning."""
 
 TAUT_STATES = HITCHED_STATE
 """States in which cables consist of taut parts, with a tension."""
@@ -69,14 +62,8 @@ PULLING_STATES = TAUT_STATES | {CableState.TIGHTENING}
 FREE_STATES = frozenset(CableState) - TAUT_STATES - {CableState.NONE}
 """States of cables that are slack or lie on the ground."""
 
-
-UNLINKED_STATES = frozenset({CableState.GROUND, CableState.FREE, CableState.DRAWN})
+UNLINKED_STATES = frozenset({CableState.GROUND, CableState.FREE})
 """States in which no cables hold each other."""
-
-OPEN_STATES = frozenset({CableState.ROLLING})  # States of a hitch in which clasps may be open
-
-LAID_STATES = OPEN_STATES | {CableState.LAYING}
-"""States in which neighbouring cables may lie across each other."""
 
 CLASPED_STATES = frozenset({CableState.CLASPING, CableState.TIGHTENING, CableState.LOOSE})
 """States in which neighbouring cables may hold each other although no hitch exists."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hitchopt.errors import InputError
-from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.series import JET, chained
 from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, concatenated
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -48,10 +47,6 @@ def shifted(motion: Motion, by: float) -> Motion:
 def on_breaks_of(motion: Motion, breaks: Array) -> Motion:
     """Return the motion on other breaks that include its own, as ``on_breaks``."""
     return motion.map_curves(lambda curve: on_breaks(curve, breaks), motion.phases)
-
-
-OPEN_SHARE = 0.98
-"""Cosine of the largest angle between the q-leg of an open pair and its edge, both of which sag."""
 
 
 def padded(motion: Motion, start: float, end: float) -> Motion:
@@ -208,7 +203,7 @@ def resting(
     """Return a motion at rest at another one's end, in ``phase`` or by default in its last phase.
 
     With ``first``, it rests at the other one's start, by default in its first phase. Instead of
-    clasping, cables hang free; pairs that have rolled into their clasps hold a hitch.
+    clasping, cables hang free.
     """
     end = (0, ..., 0) if first else (-1, ..., -1)
 
@@ -219,21 +214,7 @@ def resting(
         phase = motion.phases[0 if first else -1]
     if phase.state is CableState.CLASPING:
         phase = replace(phase, state=CableState.FREE)
-    if phase.state is CableState.ROLLING and not _has_open_pair(motion, end):
-        phase = replace(phase, state=CableState.HITCHED)
     return motion.map_curves(constant, [phase.retimed(0.0, seconds)])
-
-
-def _has_open_pair(motion: Motion, end: tuple[Any, ...]) -> bool:
-    """Return whether a pair lies across at an end: its q-leg continues the edge backward.
-
-    In a clasp, it leads from there to the other side of the neighbouring edge.
-    """
-    layout = motion.team.layout
-    drones, vertices = motion.drones.coefficients[end], motion.vertices.coefficients[end]
-    legs = unit((drones[0::2] - vertices[layout.starts])[layout.ahead])
-    edges = unit((vertices[layout.ends] - vertices[layout.starts])[layout.ahead])
-    return bool(np.any(np.sum(legs * edges, axis=-1) < -OPEN_SHARE))
 
 
 def prolonged(motion: Motion, seconds: float) -> Motion:

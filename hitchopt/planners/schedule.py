@@ -26,7 +26,6 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch.pairs import DISTANCES, Kind
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.flight import TeamMotion, same_object
-from hitchopt.motion.motion import CableState
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
@@ -121,11 +120,9 @@ class SampledPath:
 
     @cached_property
     def taut(self) -> SampledBodies:
-        """Parts of taut cables, and regions of those that are laid; far away at other times."""
+        """Parts of taut cables; far away at other times."""
         cables = self.cables
-        motion = self.flown.motion
-        laid = motion.in_states(frozenset({CableState.LAYING}))[self._pieces]
-        offset = np.where(cables.upright & ~laid, FAR, 0.0)[:, None, None]
+        offset = np.where(cables.upright, FAR, 0.0)[:, None, None]
         corners = cables.corners + offset[..., None]
         return cables._replace(corners=corners, heights=cables.heights + offset)
 

@@ -22,7 +22,7 @@ from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.path import Path
 from hitchopt.planners.timing.timed_motion import check_duration
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +35,6 @@ class RestState:
     # (clasps,): turning senses of the pairs, 1 if q went up first; None for an initial hitch
     senses: Array | None = None
     swap: SwapSettings = field(default_factory=SwapSettings)  # Settings of these turns
-    # (n,): levels of cables after laying, 0 the lowest; None for a hitch tied by swaps
-    levels: Indices | None = None
-    # (clasps,) [rad]: roll with an open vertex; ``hitch`` has the roll of the closed hitch
-    open_roll: Array | None = None
     # The enclosed or held object; ``hitch`` is then without the object's weight
     grasp: GraspState | None = None
     # Objects at their current poses; None for those of the problem

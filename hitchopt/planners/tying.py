@@ -35,14 +35,6 @@ from hitchopt.planners.forming.approach import (
     assign_robots,
 )
 from hitchopt.planners.forming.circles import FURTHER_SIZES, SIZES, CircleSize, CircularHitches
-from hitchopt.planners.forming.laying import (
-    Laying,
-    RollPath,
-    find_laying,
-    roll_motion,
-    senses_of,
-    split_for_rolling,
-)
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stages import hover_altitude, reversed_stages, stage, straight_lines
 from hitchopt.planners.morph.actions import adjust
@@ -51,7 +43,7 @@ from hitchopt.planners.rests import check_at_rest, check_hover, rest_plan
 from hitchopt.planners.routes import RouteSearch, plan_to_hitch
 from hitchopt.planners.task import StepPlan, StepTask, require_certified, require_tracking
 from hitchopt.planners.timing.timed_motion import motion_along
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
 T = TypeVar("T")
@@ -65,19 +57,11 @@ def end_of_form(
     outline: Outline,
     altitude: float,
     legs: SlackSplit | None,
-    levels: Indices | None,
     requirements: Requirements,
 ) -> Hitch:
-    """Return the hitch that is tied, by laying cables on ``levels`` (n,) if they are given.
-
-    Without ``legs``, legs keep drones apart as pairs roll if cables are laid; otherwise they
-    are spread, with the largest feasible cable margin.
-    """
+    """Return the hitch that is tied; without ``legs`` with the largest feasible cable margin."""
     if legs is not None:
         return split_hitch(team, outline, altitude, legs, requirements)
-    if levels is not None:
-        halves = Hitch.balanced(team, outline, altitude)
-        return split_for_rolling(halves, senses_of(team.layout, levels), requirements)
     spread = split_hitch(team, outline, altitude, "spread", requirements)
     same_roll = RolledLegs("spread", spread.roll)
     clearance = rest_plan(spread, requirements).certificate["cable_clearance"].worst
@@ -122,20 +106,12 @@ def holding_assignment(
     return first_certified([*even, shortest], Effort())
 
 
-def tyings(
-    task: StepTask, goal: Hitch, swap: SwapSettings, levels: Indices | None
-) -> Iterator[Candidate[StepPlan]]:
+def tyings(task: StepTask, goal: Hitch, swap: SwapSettings) -> Iterator[Candidate[StepPlan]]:
     """Yield the ways to tie the goal.
 
-    Cables are laid on levels (n,), if they are given; otherwise drones swap to tie the goal
-    directly, or another hitch on a circle that becomes the goal.
+    Drones swap to tie the goal directly, or another hitch on a circle that becomes the goal.
     """
     requirements = task.requirements
-
-    def by_laying(levels: Indices) -> StepPlan:
-        """Return the plan that lays the goal's cables on one another."""
-        laying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
-        return require_certified(tied_plan(task, laying, goal))
 
     def directly(settings: SwapSettings, larger_errors: float) -> StepPlan:
         """Return the plan that ties the goal, planned for larger errors [m]."""
@@ -148,9 +124,6 @@ def tyings(
         tying = tying.clear_of_ground(requirements)
         return morphed_plan(task, tied_plan(task, tying, tying.hitch), goal)
 
-    if levels is not None:
-        yield Candidate("laying", partial(by_laying, levels))
-        return
     for way in swap_ways(swap):
         yield with_larger_errors(f"{way.name}swaps", partial(directly, way.settings))
         for tying in tyings_on_circles(goal, requirements, way):
@@ -160,21 +133,11 @@ def tyings(
 def untyings(task: StepTask) -> Iterator[Candidate[StepPlan]]:
     """Yield the ways to untie the hitch.
 
-    Cables that were laid leave each other; otherwise drones swap to untie the hitch as it is,
-    or one on a circle in its place.
+    Drones swap to untie the hitch as it is, or one on a circle in its place.
     """
     requirements = task.requirements
     hitch = task.hitch
     senses = task.before.assumed_senses
-
-    def by_laying(levels: Indices) -> StepPlan:
-        """Return the plan that takes cables off one another, which the whole plan certifies.
-
-        Only the motion that laid them shows that they interlace.
-        """
-        split = split_for_rolling(hitch, senses, requirements)
-        laid = find_laying(split, levels, requirements).clear_of_ground(requirements)
-        return untied_plan(task, laid, split)
 
     def directly(swap: SwapSettings, larger_errors: float) -> StepPlan:
         """Return the plan that unties the hitch as it is, planned for larger errors [m]."""
@@ -189,9 +152,6 @@ def untyings(task: StepTask) -> Iterator[Candidate[StepPlan]]:
         tying = tying.with_senses(senses).clear_of_ground(requirements)
         return unmorphed_plan(task, tying)
 
-    if task.before.levels is not None:
-        yield Candidate("laying", partial(by_laying, task.before.levels))
-        return
     for way in swap_ways(task.before.swap):
         yield with_larger_errors(f"{way.name}swaps", partial(directly, way.settings))
         for tying in tyings_on_circles(hitch, requirements, way):
@@ -245,7 +205,7 @@ def tyings_on_circles(goal: Hitch, requirements: Requirements, way: SwapWay) -> 
         yield find_prehitch(hitch, requirements, way.settings)
 
 
-def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan:
+def tied_plan(task: StepTask, tying: PreHitch, goal: Hitch) -> StepPlan:
     """Return the plan that ties a hitch of the goal's shape elsewhere and lowers it to the goal.
 
     Drones fly to where cables hang clear of each other and of the ground, and tie the hitch there.
@@ -270,7 +230,7 @@ def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
     return require_certified(replace(plan, motion=concatenated([tied.motion, plan.motion])))
 
 
-def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepPlan:
+def untied_plan(task: StepTask, tying: PreHitch, hitch: Hitch) -> StepPlan:
     """Return the plan that unties the task's hitch, with the legs of ``hitch``."""
     requirements = task.requirements
     motions = adjusting_motions(task, hitch.q_legs)
@@ -279,7 +239,7 @@ def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepP
         motions.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
     motions += reversed_stages(tying.stages(requirements, task.index))
     drones = tying.drones_hanging
-    after = replace(task.before, drones=drones, hitch=None, senses=None, levels=None)
+    after = replace(task.before, drones=drones, hitch=None, senses=None)
     return StepPlan(concatenated(motions), after)
 
 
@@ -374,16 +334,6 @@ def descent(task: StepTask) -> StepPlan:
     flight = straight_lines(before.team, requirements.limits, before.drones, landed)
     motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
     return StepPlan(motion, replace(before, drones=landed))
-
-
-def rolled_plan(task: StepTask, end: Array, phase: Phase) -> StepPlan:
-    """Return the plan that rolls pairs to the angles ``end`` (clasps,) [rad]; no vertex moves."""
-    hitch = task.hitch
-    start = hitch.roll if task.before.open_roll is None else task.before.open_roll
-    motion = roll_motion(RollPath(hitch, start, end), task.requirements, phase)
-    drones = motion.drones.coefficients[-1, ..., -1]
-    open_roll = None if np.array_equal(end, hitch.roll) else end
-    return StepPlan(motion, replace(task.before, drones=drones, open_roll=open_roll))
 
 
 MIN_LARGER_ERRORS = 1e-3  # [m] Smallest increase of errors for which free cables are planned again

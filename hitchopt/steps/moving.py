@@ -18,7 +18,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.along import plan_like, rigid_plan, straight_plan
 from hitchopt.planners.candidates import Candidate
 from hitchopt.planners.ends import End, end_of_morph, end_of_transport, moved_points
@@ -45,7 +45,6 @@ from hitchopt.steps.keys import (
 )
 from hitchopt.steps.knob import PLAN_DURATION, Edit, Edits, Knob, checks_relaxed_by, scaled_points
 from hitchopt.steps.step import Stage, Step
-from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Points, as_array, bounded_points, known, plain
 from hitchopt.values.fields import (
     FLAGS,
@@ -86,22 +85,14 @@ class Hold(HitchStep):
         before = task.before
         if before.grasp is not None and before.grasp.hold is not None:
             return self.plan_of_moves(task, task.grasp, [task.held.rest(self.seconds)])
-        if before.open_roll is not None:
-            closed = self._at_rest(task)
-            drones = PiecewisePolynomial.constant(closed.drones.breaks, before.drones)
-            phases = tuple(replace(phase, state=CableState.ROLLING) for phase in closed.phases)
-            return StepPlan(closed.replaced(drones=drones, phases=phases), before)
         if before.hitch is not None:
             return super().plan(task)
         return StepPlan(hover_motion(task, self.seconds), before)
 
     def plan_uncompensated(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch at rest."""
-        return task.plan_ending(self._at_rest(task), task.hitch)
-
-    def _at_rest(self, task: StepTask) -> Motion:
-        """Return the motion of the hitch at rest."""
-        return rest_motion(task.hitch, task.requirements, self.seconds, self.phase(task))
+        motion = rest_motion(task.hitch, task.requirements, self.seconds, self.phase(task))
+        return task.plan_ending(motion, task.hitch)
 
 
 @documented

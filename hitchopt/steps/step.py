@@ -28,10 +28,9 @@ from hitchopt.values.fields import Record
 
 
 class Stage(StrEnum):
-    """Stage of a hitch with respect to an object, or to an open vertex."""
+    """Stage of a hitch with respect to an object."""
 
     FREE = "no object"
-    OPEN = "an open vertex"
     AROUND = "an enclosed object"
     GRASPED = "a grasped object"
     LIFTED = "a lifted object"
@@ -90,11 +89,6 @@ class Step(Record, ABC):
     def blends(self) -> bool:
         """Return whether it continues into the next step without a stop."""
         return bool(getattr(self, "blend", False))
-
-    @property
-    def rolls_pairs(self) -> bool:
-        """Return whether pairs of drones roll by half a turn, one above the other."""
-        return False
 
     @property
     def settling(self) -> float | Literal["auto", False]:

@@ -21,18 +21,18 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     limits = p.limits
     names = p.segment_names
     clasps = Spans.of(p, p.formed, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
-    legs = Spans.of(p, p.taut, np.flatnonzero(p.leg), p.names)
-    cables = Spans.of(p, p.taut, range(p.n), p.cables)
+    legs = Spans.of(p, p.formed, np.flatnonzero(p.leg), p.names)
+    cables = Spans.of(p, p.formed, range(p.n), p.cables)
     vertices = Spans.of(p, p.formed, range(p.V.start, p.V.stop), p.labels)
     own = np.where(p.leg, np.arange(p.N), p.anchor)  # other end of the segment at each drone
     foreign = np.argwhere(np.all(p.segments[:, :2] != own[:, None, None], axis=2))
     ties = p.segments[:, 3:]
     shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
-    pairs = Spans.of(p, p.taut, np.argwhere(np.triu(~shared, 1)), names, names)
+    pairs = Spans.of(p, p.formed, np.argwhere(np.triu(~shared, 1)), names, names)
     for j in np.split(np.arange(len(p.segments)), [int(np.sum(p.leg))]):
         inside = partial(arena_gap, leg=not j[0])
-        yield prove(p.arena_row, 0.0, Spans.of(p, p.taut, j, names), inside)
-    s = Spans.of(p, p.taut, foreign, p.names, names)
+        yield prove(p.arena_row, 0.0, Spans.of(p, p.formed, j, names), inside)
+    s = Spans.of(p, p.formed, foreign, p.names, names)
     near = partial(distance, ratio=p.ratio)
     yield prove(*p.cable_limit, s, lambda s, i, j: near([s.point(i)], s.segment(j)))
     yield prove(*p.crossing_limit, pairs, lambda s, i, j: near(s.segment(i), s.segment(j)))
@@ -52,7 +52,7 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     if p.frictional:
         yield prove("equilibrium ratio max", 5e-3, legs, friction_excess)
     if p.has_contacts:
-        straight = Spans.of(p, p.taut & ~np.any(p.grip, axis=0), range(p.n), p.cables)
+        straight = Spans.of(p, p.formed & ~np.any(p.grip, axis=0), range(p.n), p.cables)
         yield prove("bend 1 max", 2 * WRAP_TOL, straight, bend)
 
 

@@ -20,7 +20,6 @@ from .arithmetic import (
     minimum,
     norm,
 )
-from .plan import LAID
 from .shapes import distance
 from .spans import Spans
 
@@ -171,7 +170,7 @@ def shift(s: Spans, k: Index) -> Line:
     They move by ``√(1 + ¼) r`` and by the effect of σ: ``(coth σ - 1/σ) σ' = (ln √(L² - h²) / s)'``
     s and h within 2 r. Slopes of depths over L are at most ¼, and ``(1/eσ + e^-σ) / 2`` for σ > 1.
     Errors of h are larger by the ratio, by which heights are divided; σ only moves points
-    vertically. Laid cables stay taut between their ends: none of their points moves farther.
+    vertically.
     """
     L = s.plan.length[k, 0]
     r = 2.0 * s.plan.tracking
@@ -193,8 +192,6 @@ def shift(s: Spans, k: Index) -> Line:
     h = np.abs(span.v[:, 2])
     x = bound(horizontal.v[:, 0], horizontal.v[:, 0], h)
     q = (bound(horizontal.low, horizontal.high, h + span[2].deviation) - x) / s.t
-    hanging = s.plan.state[s.piece] != LAID
-    x, q = np.where(hanging, x, 0.0), np.where(hanging, q, 0.0)
     return Line(x[:, None], 0.0 * x[:, None], q, s.t)
 
 

@@ -8,12 +8,10 @@ from itertools import product
 import numpy as np
 
 from .arithmetic import POS_TOL, Array, Items, Mask, norm, varies
-from .cables import OPEN_ROLL
 from .catenary import lowest_height
 from .drones import thrust
-from .links import roll_changes
 from .objects import support_below
-from .plan import CLASPING, CONTACT_TOL, DRAWN, GROUNDED, LAID, LOOSE, ROLLING, TIGHTENED, Plan
+from .plan import CLASPING, CONTACT_TOL, GROUNDED, LOOSE, TIGHTENED, Plan
 from .shapes import to_frame
 from .spans import RESOLUTION, Fault, Row, Spans, Worst, fault_row, worst_row
 
@@ -39,7 +37,7 @@ def curve_jumps(p: Plan) -> Iterator[tuple[Worst, str]]:
     Jumps of cables count between taut pieces.
     """
     bodies = [body.name for body in p.bodies]
-    both_taut = (p.taut[1:] & p.taut[:-1])[:, None]
+    both_taut = (p.formed[1:] & p.formed[:-1])[:, None]
     for k, unit in enumerate(JUMP_UNITS):
         points = p.points.c[k]
         for jumps, names in (
@@ -145,37 +143,6 @@ def unformed_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
     yield pulls or has_legs, "tensions or legs without a hitch"
 
 
-def laid_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
-    """Yield turns of cables that are laid."""
-    drones = p.points.c[0][on, : p.N]
-    chords = drones[:, 1::2] - drones[:, 0::2]
-    yield varies(chords), "cables turn while they are laid"
-
-
-def drawn_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
-    """Yield vertical motion of drones that draw their cables taut."""
-    heights = p.points.c[0][on, : p.N, 2]
-    yield varies(heights), "drones change their heights as cables are drawn taut"
-
-
-def rolling_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
-    """Yield what else changes while pairs roll."""
-    legs = p.legs.c[0][on]
-    lowest = np.min(p.min_tension[on], axis=0)
-    longest = np.max(legs, axis=(0, -1)).reshape(p.n, 2)
-    sag = (p.weight / lowest) ** 2 / 24.0 * longest**3
-    drift = (sag + 1e-4).reshape(legs.shape[1:-1])  # of legs as they sag, or as weight passes
-    moves = varies(p.points.c[0][on][:, p.V]) or varies(legs, drift)
-    yield moves, "vertices or legs move while pairs roll"
-    of_edges = np.repeat(p.tensions.c[0][on], 2, axis=1)
-    is_unequal = np.max(np.abs(p.pulls.c[0][on] - of_edges)) > 1e-4
-    is_loaded = np.any(p.load) or np.any((p.rest | p.active)[:, on])
-    yield bool(is_loaded or is_unequal), "pairs with loads or unequal pulls roll"
-    start, change, _ = roll_changes(p, np.flatnonzero(on))
-    shut = np.abs([start, start + change]) < OPEN_ROLL
-    yield bool(np.all(shut)), "no pair rolls or lies across"
-
-
 def grounded_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
     """Yield cables that do not lie on the ground."""
     if not p.n:
@@ -214,9 +181,6 @@ def of_cables(p: Plan, on: Mask) -> tuple[Spans, Items]:
 
 
 FAULTS_OF_STATES: dict[str, Callable[[Plan, Mask], Iterator[StateFault]]] = {
-    LAID: laid_faults,
-    ROLLING: rolling_faults,
-    DRAWN: drawn_faults,
     GROUNDED: grounded_faults,
     CLASPING: clasping_faults,
     TIGHTENED: tightened_faults,

@@ -56,7 +56,7 @@ def hopeless(p: Plan) -> Iterator[Row]:
         return
     largest = np.max(p.tensions.c[0], axis=(2, 3), initial=0.0)
     lacking = np.min(p.tension_range, axis=2) - largest
-    is_loose = (largest < MIN_TENSION) & (lacking > TAUT_TOL) & p.taut[:, None] & ~p.ramp
+    is_loose = (largest < MIN_TENSION) & (lacking > TAUT_TOL) & p.formed[:, None] & ~p.ramp
     for q, k in np.argwhere(is_loose)[:1]:
         missing = [(float(lacking[q, k]), float(p.breaks[q]), p.cables[k])]
         yield worst_row("tension", "N", TAUT_TOL, missing)
@@ -73,7 +73,7 @@ def plan_rows(p: Plan) -> Iterator[Row]:
 def distances(p: Plan) -> Iterator[Row]:
     """Yield the rows of drones, cables and objects, with all distances."""
     yield from drones(p)
-    if np.any(p.taut):
+    if np.any(p.formed):
         yield from taut_cables(p)
     if p.n:
         yield from free_cables(p)

@@ -26,7 +26,7 @@ from .arithmetic import (
 from .cables import capstan, wrap_angle
 from .catenary import lowest_height, shift
 from .drones import wall_gap
-from .plan import CONTACT_TOL, DRAWN, EXACT_RANGE, GROUNDED, WRAP_TOL, Plan
+from .plan import CONTACT_TOL, EXACT_RANGE, GROUNDED, WRAP_TOL, Plan
 from .shapes import Slab, to_frame
 from .spans import MIN_TENSION, Row, Spans, prove
 
@@ -37,7 +37,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     """Prove distances of a body to cables, other bodies, ground and walls."""
     body = p.bodies[b]
     allowed = allowed_contacts(p, b)
-    others = p.taut[:, None] & ~p.holding[b][:, p.segments[:, 2]]
+    others = p.formed[:, None] & ~p.holding[b][:, p.segments[:, 2]]
     off = Spans.of(p, others, range(len(p.segments)), p.segment_names)
     free, clasping = (Spans.of(p, on, range(p.n), p.cables) for on in (p.free, p.clasping))
     moving, carried = (Spans.of(p, x[b], [0], [body.name]) for x in (p.moving, p.held))
@@ -47,7 +47,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         """Return heights of hanging cables above the body, or horizontal distances of chords."""
         height = (lowest_height(s, k) - p.poses.on(s, b)[2] - slab.upper) * (1.0 / p.ratio)
         height = height - shift(s, k)
-        height = height.where(~np.isin(p.state[s.piece], (GROUNDED, DRAWN)))
+        height = height.where(p.state[s.piece] != GROUNDED)
         return maximum(slab.enlarged(0.0, -BIG, BIG).gap(*s.ends(k, b)), height)
 
     def hull_gap(s: Spans, k: Index, slab: Slab) -> Line:
@@ -104,7 +104,7 @@ def clear_held(p: Plan, b: int) -> Iterator[Row]:
     """
     body = p.bodies[b]
     header = "penetration m min"
-    held = p.holding[b][:, p.segments[:, 2]] & p.taut[:, None]
+    held = p.holding[b][:, p.segments[:, 2]] & p.formed[:, None]
     items = range(len(p.segments))
     wrapped = p.grip[b][:, None]
     is_leg = p.segments[:, 3] == p.segments[:, 4]

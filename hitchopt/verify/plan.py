@@ -37,7 +37,6 @@ CONTACT_TOL = 1e-4  # [m]
 WRAP_TOL = 2e-5  # [m]
 MIN_GAP = 1e-4  # [m] minimum distance of cables that cannot pass through each other
 TAUT_TOL = 1e-4  # [N] largest difference of a tension from that of taut cables
-SAG_TOL = 0.02  # [m] largest gap of cables that lie on each other, due to different sags
 EXACT_RANGE = 0.5  # [m] of exact distances of hanging cables
 MAX_COEFFS = 61  # coefficients of a curve
 NO_CABLES: dict[str, Any] = {  # of teams of single drones
@@ -51,16 +50,13 @@ NO_CABLES: dict[str, Any] = {  # of teams of single drones
 # States of cables
 GROUNDED = "on the ground"
 HANGING = "hanging free"
-DRAWN = "being drawn taut"  # single cables
-LAID = "being laid"  # single taut cables
 CLASPING = "clasping"
 TIGHTENED = "being tightened"
 LOOSE = "loose after a loss"  # at the start of a plan, until a chain is tightened
-ROLLING = "rolling"  # pairs between crossing and clasp
 HITCHED = "hitched"
-CROSSINGS = {GROUNDED: 0, HANGING: 0, DRAWN: 0, TIGHTENED: 1, LOOSE: 1, HITCHED: 1}  # of a clasp
-UNLINKED = {GROUNDED, HANGING}  # no links
-STATES = {*CROSSINGS, CLASPING, LAID, ROLLING, "none"}
+CROSSINGS = {GROUNDED: 0, HANGING: 0, TIGHTENED: 1, LOOSE: 1, HITCHED: 1}  # of a clasp
+UNLINKED = (GROUNDED, HANGING)  # no links
+STATES = {*CROSSINGS, CLASPING, "none"}
 
 
 class Body:
@@ -144,12 +140,9 @@ class Plan:
     state: Any  # (m,) state of cables, a text
     all_pieces: Mask  # (m,) all true
     formed: Mask  # (m,) there is a hitch
-    bent: Mask  # (m,) cables bend on their own
-    taut: Mask  # (m,) there are edges and legs: formed or bent
-    pulling: Mask  # (m,) cables have a tension: taut, or tightened
+    pulling: Mask  # (m,) cables have a tension: formed, or tightened
     free: Mask  # (m,) cables without edges
     clasping: Mask  # (m,) cables clasp, are tightened or loose after a loss
-    vertical: Mask  # (m,) drones move vertically alone
     range_phase: Items  # (m,) phase that states a range of tensions; -1 without one
     tied: Mask  # (m,) cables clasp before or after a hitch
     tied_vertices: Array  # (m, P, 3) [m] vertices of that hitch
@@ -371,10 +364,9 @@ class Plan:
         self.phase = np.searchsorted(ends, self.breaks[:-1] + 0.5 * self.h)
         self._check_phases()
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
-        self.formed = np.isin(self.state, (HITCHED, ROLLING))
-        self.taut = self.formed
-        self.pulling = self.taut | (self.state == TIGHTENED)
-        self.free = ~self.taut & (self.n > 0)
+        self.formed = self.state == HITCHED
+        self.pulling = self.formed | (self.state == TIGHTENED)
+        self.free = ~self.formed & (self.n > 0)
         self.clasping = np.isin(self.state, (CLASPING, TIGHTENED, LOOSE))
 
     def _check_phases(self) -> None:
@@ -464,8 +456,6 @@ class Plan:
         self.load = (np.array(team["load"], dtype=float) * np.ones(len(self.clasps)))[:, None]
         self.length = np.array(team["cable_length"], dtype=float)[self.robot, None]
         self.stated_tension = np.array(team["tension"], dtype=float)[self.robot, None]
-        hanging = self.weight * self.length / self.stated_tension
-        self.sag = np.asarray(np.square(hanging) / 24.0)
 
     def _read_curves(self) -> None:
         """Read the curves of drones and cables: of straight edges and equal tensions as one."""
@@ -491,9 +481,8 @@ class Plan:
         parts = [elevate(part, count) for part in parts]
         self.points = Curve(np.concatenate(parts, axis=1), self.h)
         drones, *on_cables = parts
-        used = drones, *(part[self.taut] for part in on_cables)
+        used = drones, *(part[self.formed] for part in on_cables)
         self.size = max(float(np.max(np.abs(part), initial=0.0)) for part in used)
-        self.vertical = np.max(np.ptp(drones[:, :, :2], axis=-1), axis=(1, 2)) <= POS_TOL
 
     def _set_ties(self, vertices: Array) -> None:
         """Set vertices of the hitch before or after pieces on which cables clasp."""
@@ -549,7 +538,7 @@ class Plan:
         for (pieces, start), k in product(((forward, 0), (forward[::-1], 1)), range(self.n)):
             rising: list[int] | None = None  # pieces since there was no hitch
             for q in pieces:
-                if not self.taut[q]:
+                if not self.formed[q]:
                     rising = []
                 elif rising is None or not (rest[q] and low[q, k, start]):
                     rising = None

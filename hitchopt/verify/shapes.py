@@ -157,13 +157,3 @@ def to_frame(pose: Array, x: Array) -> Array:
     c = pose[..., 3]
     r = pose[..., 4]
     return np.stack([c * o[..., 0] + r * o[..., 1], c * o[..., 1] - r * o[..., 0], o[..., 2]], -1)
-
-
-def intersections(a: Array, u: Array, b: Array, w: Array) -> tuple[Array, Array]:
-    """Return x and y at which segments a + x u and b + y w cross horizontally, or nan."""
-    offset = b - a
-    turn = u[..., 0] * w[..., 1] - u[..., 1] * w[..., 0]
-    x, y = (offset[..., 0] * v[..., 1] - offset[..., 1] * v[..., 0] for v in (w, u))
-    x, y = (z / np.where(turn == 0.0, TINY, turn) for z in (x, y))
-    inside = (x > 0.0) & (x < 1.0) & (y > 0.0) & (y < 1.0)
-    return np.where(inside, x, np.nan), np.where(inside, y, np.nan)

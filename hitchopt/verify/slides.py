@@ -244,7 +244,7 @@ def clear_of_shift(p: Plan, shift: float, on: Mask) -> tuple[float, str]:
         rooms += [float(np.min(corners - lower)), float(np.min(upper - corners))]
     q = copy(p)
     name, least = p.without_errors().object_limit
-    q.object_limit, q.taut = (name, least + shift), p.taut & on
+    q.object_limit, q.formed = (name, least + shift), p.formed & on
     q = q.proving(frozenset({"object_clearance"}))
     for row in (row for b in range(len(p.bodies)) for row in clear_objects(q, b)):
         if row.samples:

@@ -135,17 +135,6 @@ class Spans:
         q, r = self.ends(k)
         return [q, r, (q + r - UP * self.plan.length[k]) * 0.5]
 
-    def strip(self, k: Index) -> list[Line]:
-        """Return corners of vertical strips below chords that contain laid cables.
-
-        A cable is at most ``½ √(L² - c²) c / s`` below a chord c of horizontal length s.
-        """
-        q, r = self.ends(k)
-        ratio = 1.0 - self.plan.sag[k] - 1e-4  # smallest chord over length
-        depth = (r - q).norm() * (r - q)[:2].norm().inverse() * self.plan.length[k]
-        depth = depth * (0.5 * np.sqrt(1.0 - ratio**2))
-        return [q, r, q - depth * UP, r - depth * UP]
-
     def hull(self, k: Index, b: int = -1) -> list[Line]:
         """Return corners of vertical regions that contain clasped, tightened or loose cables.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .arithmetic import POS_TOL, Array, Items, norm, normalize
-from .plan import CLASPING, LAID, TAUT_TOL, Plan
+from .plan import CLASPING, TAUT_TOL, Plan
 from .spans import Spans
 
 CLOSE = 1e-6  # [m], [s] largest difference of what is asked for and shown, relative above 1
@@ -96,7 +96,7 @@ class Step(NamedTuple):
 def vertices_at(p: Plan, piece: int, end: int) -> Array:
     """Return vertices (P, 3) at the start (0) or end (-1) of a piece; nan without a hitch."""
     vertices = p.points.c[0][piece, p.V, :, end]
-    return np.asarray(vertices if p.taut[piece] else np.full_like(vertices, np.nan))
+    return np.asarray(vertices if p.formed[piece] else np.full_like(vertices, np.nan))
 
 
 def duration_of(phases: list[dict[str, Any]]) -> float:
@@ -179,7 +179,7 @@ def holds(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
 def untied(s: Step, _value: Any, _: Mapping[str, Any]) -> Shown:
     """Return no difference if there is no hitch at the end."""
-    return infinite_if(s.p.taut[s.pieces[-1]])
+    return infinite_if(s.p.formed[s.pieces[-1]])
 
 
 def centroid_of(vertices: Array, *, closed: bool) -> Array:
@@ -229,7 +229,7 @@ def speed(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
 
 def tension(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     """Return the distance of tensions from a range, or of those at a joint from a number [N]."""
-    taut = s.pieces[s.p.taut[s.pieces]]
+    taut = s.pieces[s.p.formed[s.pieces]]
     if isinstance(value, dict | list):
         low, high = (value["min"], value["max"]) if isinstance(value, dict) else value
         T = s.p.tensions.c[0][taut]
@@ -244,37 +244,12 @@ def held_by(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     return infinite_if(holds != {value})
 
 
-def tied_by(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return no difference if cables are laid, or are not laid."""
-    return infinite_if((LAID in {x["state"] for x in s.phases}) != (value == "laying"))
-
-
 def names_object(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     """Return no difference if no other object is held or moves."""
     own = s.body(str(value))
     p = s.p
     others = (p.held | p.active)[:, s.pieces]
     return infinite_if(np.any(np.delete(others, own, axis=0)))
-
-
-def order(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return no difference if, of every two crossing cables, the later one in an order is above.
-
-    They cross, one above the other, when they begin to descend vertically.
-    """
-    p = s.p
-    lowered = s.pieces[((s.p.state == LAID) & s.p.vertical)[s.pieces]][:1]
-    places = np.argsort(p.edge[np.array(value, dtype=int)])
-    if not len(lowered):
-        return math.inf
-    ends = p.points.c[0][lowered[0], : p.N, :, 0].reshape(p.n, 2, 3)
-    for k, j in zip(p.clasps, p.behind, strict=True):
-        (a, b), (c, d) = ends[k], ends[j]
-        shares = np.linalg.solve(np.column_stack([b - a, c - d])[:2], (c - a)[:2])
-        rise = a[2] - c[2] + shares[0] * (b - a)[2] - shares[1] * (d - c)[2]
-        if (rise > 0.0) != (places[k] > places[j]):
-            return math.inf
-    return 0.0
 
 
 def assigned(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
@@ -358,13 +333,6 @@ def swap(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
             yield math.atan2(up * inward, up * highest[2]) - math.radians(tilt)
 
 
-def pair(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return no difference if only the pair of a vertex moves."""
-    moved = np.ptp(s.p.points.c[0][s.pieces, : s.p.N], axis=(0, -1)) > CLOSE
-    moving = np.flatnonzero(np.any(moved, axis=1))
-    return infinite_if(not set(moving.tolist()) <= set(s.p.pairs[int(value)].tolist()))
-
-
 def placed(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
     """Return the difference of an object from its goal."""
     return s.pose(s.held(step))[:3] - np.array(value, dtype=float)
@@ -444,9 +412,7 @@ STEP_KEYS: dict[str, Shows] = {
     "settle": settled,
     "object": names_object,
     "form.assign": assigned,
-    "form.order": order,
     "form.swap": swap,
-    "form.by": tied_by,
     "move_vertex.to": partial(moved_to, by=0.0),
     "move_vertex.by": partial(moved_to, by=1.0),
     "move_edge.to": partial(moved_to, by=0.0),
@@ -455,8 +421,6 @@ STEP_KEYS: dict[str, Shows] = {
     "follow_vertex.speed": speed,
     "transport.to": lambda s, x, _: centroid_of(s.vertices(), closed=s.p.closed) - x,
     "transport.yaw_deg": turned,
-    "open_vertex.vertex": pair,
-    "close_vertex.vertex": pair,
     "grasp.by": held_by,
     "lift.by": risen,
     "carry.to": placed,
@@ -496,7 +460,6 @@ IMPLIED: dict[str, dict[str, Any]] = {
     "follow_vertex": {"others_stay": True},
     "adjust": {"others_stay": True},
     "settle": {"others_stay": True},
-    "close_vertex": {"others_stay": True},
     "grasp": {"holds": True},
     "lift": {"holds": True},
     "carry": {"holds": True},

@@ -12,7 +12,7 @@ import numpy as np
 from .arithmetic import BIG, Array, Index, Items, Line, Mask, elevate, maximum, minimum, runs_of
 from .drones import moves
 from .objects import body_gap
-from .plan import LAID, WRAP_TOL, Plan
+from .plan import WRAP_TOL, Plan
 from .shapes import Slab, distance, prism_gap
 from .spans import Row, Spans, prove
 
@@ -21,12 +21,11 @@ Corners = Sequence[Line]
 DRONES = "drones"
 TAUT = "taut"
 HANGING = "hanging"
-BEING_LAID = "being laid"
 CLASPING = "clasping"
 CONTACT_ERROR = 3.0 * WRAP_TOL
 """[m] Largest distance of contacts from a section that ``wrap`` allows."""
 
-REGIONS = {HANGING, BEING_LAID, CLASPING}  # Cables without a hitch, which vertical regions contain
+REGIONS = {HANGING, CLASPING}  # Cables without a hitch, which vertical regions contain
 
 
 class Bodies(NamedTuple):
@@ -100,13 +99,11 @@ def at_times_of(s: Spans, p: Plan) -> Spans:
 
 def bodies_of(p: Plan) -> list[Bodies]:
     """Return drones and cables: segments, or what contains cables without a hitch."""
-    laid = p.state == LAID
-    hanging = p.free & ~laid & ~p.clasping
+    hanging = p.free & ~p.clasping
     return [
         Bodies(DRONES, p.all_pieces, p.names, lambda s, i: [s.point(i)]),
-        Bodies(TAUT, p.taut, p.segment_names, Spans.segment),
+        Bodies(TAUT, p.formed, p.segment_names, Spans.segment),
         Bodies(HANGING, hanging, p.cables, Spans.sheet),
-        Bodies(BEING_LAID, laid, p.cables, Spans.strip),
         Bodies(CLASPING, p.clasping, p.cables, Spans.hull),
     ]
 
@@ -128,7 +125,7 @@ def between_plans(pair: Pair) -> Iterator[Row]:
         elif kinds & REGIONS:
             measure = partial(prism_gap, ratio=pair.ratio)
         yield prove(*limit, spans, between(pair, first, second, measure))
-        if kinds in ({DRONES, TAUT}, {DRONES, BEING_LAID}):
+        if kinds == {DRONES, TAUT}:
             downwash = between(pair, first, second, partial(downwash_ratio, pair))
             yield prove("downwash ratio min", 1.0, spans, downwash)
 

@@ -1,4 +1,4 @@
-"""Cables before they are tied and after: hanging, drawn taut, laid, and bent around an object."""
+"""Cables before they are tied and after: on the ground, hanging, clasping and tightened."""
 
 from __future__ import annotations
 
@@ -13,39 +13,29 @@ from .arithmetic import (
     Index,
     Items,
     Line,
-    Mask,
     concatenate,
-    maximum,
     minimum,
-    norm,
-    runs_of,
 )
 from .cables import range_excess
-from .catenary import above_floor, catenary_links, lowest_height, own_cable_gap, shift
-from .links import Replay
+from .catenary import above_floor, catenary_links, own_cable_gap, shift
 from .plan import (
     CLASPING,
-    DRAWN,
     EXACT_RANGE,
     GROUNDED,
-    LAID,
     LOOSE,
     TIGHTENED,
     UNLINKED,
     Plan,
 )
 from .shapes import distance, hull_distance, prism_gap
-from .spans import RESOLUTION, Row, Spans, prove
-
-DRAWING_SPEED = 0.03  # [m/s] largest speed of drones that draw a cable taut
-DRAWING_SLOPE = 100.0  # [s/m] of what stands for a share of the length, over a larger speed
+from .spans import Row, Spans, prove
 
 
 def free_cables(p: Plan) -> Iterator[Row]:
     """Prove distances of cables that lie, hang, clasp or are tightened."""
     k = range(p.n)
     pairs = np.triu_indices(p.n, 1)
-    clasped = p.clasped[pairs] & ~np.isin(p.state, (*UNLINKED, DRAWN))[:, None]
+    clasped = p.clasped[pairs] & ~np.isin(p.state, UNLINKED)[:, None]
     both = Spans.of(p, p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
     free, tightened = (Spans.of(p, on, k, p.cables) for on in (p.free, p.state == TIGHTENED))
     yield prove("span ratio max", 1.0, free, chord_share)
@@ -55,20 +45,17 @@ def free_cables(p: Plan) -> Iterator[Row]:
     longer = "cable_length ratio max", 1e-4  # bound of lengths along vertices
     yield prove(*longer, tightened, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
     yield prove("tension N max", 1e-4, tightened, range_excess)
-    for further in (laid_cables, drawn_cables, loose_cables):
-        yield from further(p)
+    yield from loose_cables(p)
 
 
 def chord_share(s: Spans, k: Index) -> Line:
     """Return chords, longer by errors of both ends, over lengths.
 
-    While cables are drawn taut, errors may make them straight if drones are slow. Laid ones are
-    taut, and ``loss_displacement`` assumes how loose ones may be pulled.
+    ``loss_displacement`` assumes how loose cables may be pulled.
     """
     p = s.plan
     chord = s.q_to_r(k)
-    errs = ~np.isin(p.state, (DRAWN, LAID, LOOSE))
-    error = np.where(errs[s.piece, None], 2.0 * p.tracking, 0.0)
+    error = np.where((p.state != LOOSE)[s.piece, None], 2.0 * p.tracking, 0.0)
     if p.ratio == 1.0:
         return (chord.norm() + error) * (1.0 / p.length[k])
     level = chord[:2].norm() + error
@@ -90,7 +77,7 @@ def hanging_cables(p: Plan) -> Iterator[Row]:
     """Prove distances of drones from cables that lie on the ground, or hang below their drones."""
     foreign = foreign_drones(p)
     ends = (p.names, p.cables)
-    level = (p.state == GROUNDED) | (p.state == DRAWN)
+    level = p.state == GROUNDED
     hangs = p.free & ~level & (p.state != LOOSE)
     lying = Spans.of(p, p.free & level, foreign, *ends)
     hanging = Spans.of(p, hangs, range(p.n), p.cables)
@@ -143,38 +130,6 @@ def clasping_cables(p: Plan) -> Iterator[Row]:
     yield prove(*p.cable_limit, s, to_hull)
 
 
-def drawn_cables(p: Plan) -> Iterator[Row]:
-    """Prove that drones of cables drawn taut move either apart or together, above the ground.
-
-    Cables hang lowest where their drones are nearest. Where errors may pull them taut, drones are
-    slow.
-    """
-    s = Spans.of(p, p.state == DRAWN, range(p.n), p.cables)
-
-    def drawn_share(s: Spans, k: Index) -> Line:
-        """Return chords with errors over lengths; below 1 if drones are slow."""
-        share = (s.q_to_r(k).norm() + 2.0 * p.tracking * p.ratio) * (1.0 / p.length[k])
-        speed = maximum(*(s.point(i, 1).norm() for i in (2 * k, 2 * k + 1)))
-        return minimum(share, (speed - DRAWING_SPEED) * DRAWING_SLOPE + 1.0)
-
-    if p.tracking:
-        yield prove("span ratio max", 1.0, s, drawn_share)
-    for run in runs_of(p.state == DRAWN):
-        s = Spans.of(p, np.isin(np.arange(len(p.h)), run), range(p.n), p.cables)
-        ends = [s.select(s.piece == q).subspan(x) for q, x in ((run[0], -1.0), (run[-1], 1.0))]
-        first, last = (norm(x.q_to_r(x.item[:, 0]).v) for x in ends)
-        parting = first <= last
-        for x, lowest in zip(ends, (parting, ~parting), strict=True):
-            yield prove(*p.cable_limit, x.select(lowest), above_floor)
-
-        def drawing(s: Spans, k: Index, parting: Mask = parting) -> Line:
-            """Return the rate at which drones move apart, or together, times their distance."""
-            rate = s.q_to_r(k).dot(s.point(2 * k + 1, 1) - s.point(2 * k, 1))
-            return rate * np.where(parting[k], 1.0, -1.0)[:, None]
-
-        yield prove("drawn m²/s min", -RESOLUTION, s, drawing)
-
-
 def loose_cables(p: Plan) -> Iterator[Row]:
     """Prove heights of cables that are loose after a loss over the ground."""
 
@@ -183,40 +138,3 @@ def loose_cables(p: Plan) -> Iterator[Row]:
         return (s.hull(k)[-1][2] - p.floor + more) * (1.0 / p.ratio)
 
     yield prove(*p.cable_limit, Spans.of(p, p.state == LOOSE, range(p.n), p.cables), height)
-
-
-def laid_cables(p: Plan) -> Iterator[Row]:
-    """Prove lengths of single taut cables, and distances of laid neighbours."""
-    laid = p.state == LAID
-    s = Spans.of(p, laid, range(p.n), p.cables)
-
-    def length_error(s: Spans, k: Index) -> Line:
-        """Return ``|c (1 + (ρ g L / T)² cos² α / 24) - L| / L`` of chords c."""
-        chord = s.q_to_r(k)
-        x = chord.norm() * (1.0 / p.length[k])
-        x = x + x * chord[:2].dot(chord[:2]) * (p.sag[k] / p.length[k] ** 2) - 1.0
-        return x.norm() - 0.2 * p.sag[k]  # tolerance of an eighth of the tension
-
-    def gap(s: Spans, k: Index, j: Index) -> Line:
-        """Return the horizontal distance, or the height of one cable over the other."""
-        tops = [maximum(*(x[2] for x in s.ends(i))) for i in (j, k)]
-        heights = lowest_height(s, k) - tops[0], lowest_height(s, j) - tops[1]
-        return maximum(
-            distance(s.level_chord(k), s.level_chord(j)), *(x * (1.0 / p.ratio) for x in heights)
-        )
-
-    yield prove("cable_length ratio max", 1e-4, s, length_error)
-    pairs = Spans.of(
-        p, laid & ~p.vertical, np.column_stack([p.clasps, p.behind]), p.cables, p.cables
-    )
-    yield prove(*p.crossing_limit, pairs, gap)
-    replay = Replay(p, np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros(len(p.clasps)))
-    replay.follow()
-    s = Spans.of(p, laid & p.vertical, range(len(p.clasps)), p.labels[p.V])
-
-    def above(s: Spans, c: Index) -> Line:
-        """Return the height of the upper cable over its smallest allowed height."""
-        z = s.point(2 * p.clasps[c])[2] - s.point(2 * p.behind[c])[2]
-        return z * replay.sign[s.piece, c, None] - replay.least[s.piece, c, None]
-
-    yield prove("laid m min", -POS_TOL, s, above)

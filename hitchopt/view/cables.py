@@ -3,8 +3,7 @@
 A free cable is a catenary. A hooked cable consists of leg, bend, edge, bend and leg; its slack is
 split among the spans in proportion to their cubed lengths, as under equal tension. At a clasp both
 cables turn on half circles about the vertex in perpendicular planes, like links of a chain. The
-turning senses of the drones determine the upper strand (``clasp_senses``). As a pair rolls open,
-bends fade until both cables run straight, one just over the other.
+turning senses of the drones determine the upper strand (``clasp_senses``).
 
 While neighbours turn about each other, the contact of their cables is unknown: the drawn curve is a
 blend of both shapes.
@@ -12,17 +11,14 @@ blend of both shapes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import groupby, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import (
     HITCHED_STATE,
-    OPEN_STATES,
     CableState,
     Motion,
 )
@@ -47,10 +43,6 @@ SLACK_TOLERANCE = 1e-4
 UP = np.array([0.0, 0.0, 1.0])
 MIN_LENGTH = 1e-9  # Minimum length of a span [m], since a chain's ends have no legs
 HOOKED_STATES = HITCHED_STATE | {CableState.TIGHTENING, CableState.LOOSE}
-FULL_CONTACT = 0.5  # Fraction of a clasp's contact above which its bends are complete
-STRAIGHT_REACH = 2.0  # Reach of straight strands, in bend radii
-MIN_ROLL_RISE = 0.01  # Minimum change of height of a rolling pair [m]
-ROLL_SAMPLES = 17  # Number of samples of a rolling pair
 
 
 def cable_curves(
@@ -69,15 +61,6 @@ def cable_curves(
     floor = motion.requirements.floor + radius
     points[..., 2] = np.maximum(points[..., 2], np.minimum(floor, np.min(drones[..., 2])))
     return points, radius
-
-
-@dataclass(frozen=True, eq=False)
-class _Bending:
-    """Bends of cables at clasps."""
-
-    radius: float  # [m]
-    senses: Array  # (clasps,) 1 where the edge ahead is on top, else -1
-    may_be_open: NDArray[np.bool_]  # (times,) whether clasps may be open, with straight cables
 
 
 def _above_and_below_ground(
@@ -99,10 +82,7 @@ def _above_and_below_ground(
         legs = length(drones - vertices[:, layout.anchors])[:, layout.has_leg.ravel()]
         shortest = min(np.min(legs, initial=np.inf), np.min(length(layout.edges(vertices))))
         radius = min(radius, MAX_BEND_SHARE * float(shortest) / BEND_RADIUS)
-        piece = np.searchsorted(motion.drones.breaks[1:-1], times, side="right")
-        may_be_open = motion.in_states(OPEN_STATES)[piece]
-        bending = _Bending(BEND_RADIUS * radius, clasp_senses(motion), may_be_open)
-        hooked = _hooked_cables(motion, drones, vertices, bending, contacts)
+        hooked = _hooked_cables(motion, drones, vertices, BEND_RADIUS * radius, contacts)
         along = np.cumsum(np.linalg.norm(np.diff(hooked, axis=-2), axis=-1), axis=-1)
         along = np.concatenate([np.zeros_like(along[..., :1]), along], axis=-1)
         free = _free_cables(motion, drones, along / along[..., -1:])
@@ -114,8 +94,7 @@ def _above_and_below_ground(
 def clasp_senses(motion: Motion) -> Array:
     """Return 1 for clasps (clasps,) whose edge ahead is on top, else -1.
 
-    It is on top if q passes over r during clasping, or under r during a roll in either direction,
-    and where the clasp does not turn.
+    It is on top if q passes over r during clasping, and where the clasp does not turn.
     """
     layout = motion.team.layout
     ends = motion.drones.breaks[[0, -1]]
@@ -130,11 +109,6 @@ def clasp_senses(motion: Motion) -> Array:
             first, later = rises(np.array([start, start + 0.25 * (end - start)]))
             senses = np.where(later >= first, 1.0, -1.0)
             break
-    for phase in motion.phases:
-        if phase.state is CableState.ROLLING:
-            rise = rises(np.linspace(phase.start, phase.end, ROLL_SAMPLES))
-            extreme = np.take_along_axis(rise, np.argmax(np.abs(rise), axis=0)[None], axis=0)[0]
-            senses = np.where(np.ptp(rise, axis=0) > MIN_ROLL_RISE, -np.sign(extreme), senses)
     return senses
 
 
@@ -228,11 +202,13 @@ def _with_slack(motion: Motion, chords: Array, slack: Array) -> Array:
 
 
 def _hooked_cables(
-    motion: Motion, drones: Array, vertices: Array, bending: _Bending, contacts: Array | None
+    motion: Motion, drones: Array, vertices: Array, radius: float, contacts: Array | None
 ) -> Array:
-    """Return hooked cables (times, n, POINTS, 3) [m]; edges are wrapped between their contacts."""
+    """Return hooked cables (times, n, POINTS, 3) [m]; edges are wrapped between their contacts.
+
+    ``radius`` is that of bends at clasps [m].
+    """
     layout = motion.team.layout
-    radius = bending.radius
     a, b = vertices[:, layout.starts], vertices[:, layout.ends]
     corners = np.stack([drones[:, 0::2], a, b, drones[:, 1::2]], axis=2)
     chords = length(np.diff(corners, axis=2))
@@ -255,27 +231,23 @@ def _hooked_cables(
         wrapped = wrapped_edges(first, last, contacts)[1]
         is_wrapped = np.any(start != 0.5 * (a + b), axis=-1)
         parts[1] = np.where(is_wrapped[..., None, None], wrapped, parts[1])
-    q_side, r_side = _bends(motion, drones, vertices, bending)
+    q_side, r_side = _bends(motion, drones, vertices, radius)
     return np.concatenate([parts[0], q_side, parts[1], r_side, parts[2]], axis=2)
 
 
-def _bends(
-    motion: Motion, drones: Array, vertices: Array, bending: _Bending
-) -> tuple[Array, Array]:
+def _bends(motion: Motion, drones: Array, vertices: Array, radius: float) -> tuple[Array, Array]:
     """Return the bends of each cable at its edge's start and end, (times, n, BEND, 3) [m] each.
 
     At a chain's ends all points of the bend are the vertex.
     """
     layout = motion.team.layout
-    radius = bending.radius
     edges = unit(layout.edges(vertices))
     p = vertices[:, layout.clasps]
     k = layout.ahead
     j = layout.behind
     q_leg = unit(drones[:, 2 * k] - p)
     r_leg = unit(drones[:, 2 * j + 1] - p)
-    sense = bending.senses[:, None]
-    full_contact = length(edges[:, k] + edges[:, j])
+    sense = clasp_senses(motion)[:, None]
     turn = np.linspace(0.5 * np.pi, -0.5 * np.pi, BEND)
     q_side = np.repeat(vertices[:, layout.starts, None], BEND, axis=2)
     r_side = np.repeat(vertices[:, layout.ends, None], BEND, axis=2)
@@ -291,9 +263,5 @@ def _bends(
         leg_side = unit(aside + under * across)
         side, out = np.sin(angles)[:, None], np.cos(angles)[:, None]
         arc = side * leg_side[..., None, :] - out * opening[..., None, :]
-        contact = length(legs + along) / np.maximum(FULL_CONTACT * full_contact, MIN_LENGTH)
-        bent = _smooth(np.where(bending.may_be_open[:, None], contact, 1.0))[..., None, None]
-        line = np.where(side > 0.0, side * legs[..., None, :], -side * along[..., None, :])
-        line = STRAIGHT_REACH * line - (under / BEND_RADIUS * UP)[:, None] * out**4
-        bends[:, cables] = p[..., None, :] + radius * (bent * arc + (1.0 - bent) * line)
+        bends[:, cables] = p[..., None, :] + radius * arc
     return q_side, r_side

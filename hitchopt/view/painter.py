@@ -202,8 +202,6 @@ def choose_shots(flight: Flight) -> tuple[Shot, ...]:
             shots.append(Shot(group[0].name.rstrip(" 0123456789"), middle, essential=True))
         elif state is CableState.HITCHED and group[-1].name == "tension":
             shots.append(Shot("hitched", group[-1].end, essential=True))
-        elif state is CableState.ROLLING:
-            shots.append(Shot(group[-1].name, group[-1].end))
         elif state in (CableState.HITCHED, CableState.NONE):
             shots += [Shot(phase.name, phase.end) for phase in group if phase.name != "relax"]
     shots.append(Shot("end", flight.duration, essential=True))

@@ -21,8 +21,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.planners.schedule import SampledPath, slacks
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
-from tests.helpers.by_hand import cable_points
-from tests.helpers.groups import moved, part
+from tests.helpers.groups import moved
 from tests.helpers.motions import TRIANGLE, lines, random_motion, row, still
 from tests.helpers.plans import planned
 
@@ -133,42 +132,10 @@ def turned(motion: Motion, angle: float, shift: Array) -> Motion:
     )
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(x, marks=pytest.mark.slow) for x in (2, 3))])
-def test_cables_that_are_laid_are_below_drones_too(seed: int, tmp_path: Path) -> None:
-    """They hang as catenaries, and are taut."""
-    rng = np.random.default_rng(seed)
-    laid = part(planned("lay_triangle").motion, "slide in", "lay")
-    laid = turned(laid, rng.uniform(0.0, 6.0), np.array([3.0, -7.0, 0.4]))
-    laid = laid.replaced(requirements=replace(laid.requirements, separation=SEPARATION))
-    end, k = laid.duration, int(rng.integers(3))
-    ends = laid.drones.at(rng.uniform(0.0, end))[2 * k : 2 * k + 2]
-    place = ends[0] + rng.uniform(0.2, 0.8) * (ends[1] - ends[0])
-    places = place + rng.uniform(-0.1, 0.1, (2, 1, 3)) + [0.0, 0.0, rng.uniform(0.1, 0.5)]
-    drone = lines(*places, seconds=end, separation=SEPARATION)
-    motion = Flight((TeamMotion("a", laid), TeamMotion("s", drone)))
-    check = check_across(RULE_OF["downwash"], motion)
-    assert check is not None
-    times = np.linspace(0.0, end, 201)
-    points = cable_points(laid.team.cable_length, laid.drones.at(times))
-    offset = points.reshape(len(times), -1, 3) - drone.drones.at(times)
-    ratio = np.linalg.norm(offset / [0.11, 0.11, 0.29], axis=-1)
-    worst = float(np.min(np.where(offset[..., 2] <= 0.0, ratio, np.inf)))
-    chords = laid.drones.at(times).reshape(len(times), -1, 2, 3)
-    middle = np.mean(chords, axis=2)[..., 2] - points[:, :, points.shape[2] // 2, 2]
-    assert worst - 1.1 * np.max(middle) / 0.11 <= check.worst <= worst
-    assert check.where[1].startswith("a.cable")
-    write_plan(tmp_path / "plan.npz", motion)
-    (found,) = (each for each in verify.verify(tmp_path) if each.name == "downwash")
-    assert (found.verdict == "proven") is (check.worst >= 1.0)
-
-
-@pytest.mark.parametrize("laid", [True, False])
 @pytest.mark.parametrize("height", [0.05, 0.35, 0.7])
-def test_errors_up_to_the_radius_bring_no_drone_over_a_cable(laid: bool, height: float) -> None:
-    whole = planned("lay_triangle").motion
-    below = part(whole, "lay", "lay") if laid else part(whole, "hold", "hold")
-    below = held(turned(below, 0.7, np.array([3.0, -7.0, 0.4])))
-    q, r = below.drones.at(0.0)[2:4] if laid else below.vertices.at(0.0)[:2]
+def test_errors_up_to_the_radius_bring_no_drone_over_a_cable(height: float) -> None:
+    below = held(turned(planned("triangle").motion, 0.7, np.array([3.0, -7.0, 0.4])))
+    q, r = below.vertices.at(0.0)[:2]
     place = 0.45 * q + 0.55 * r + [0.0, 0.0, height]
     radius = team_radius(below, place)
     assert (radius > 0.0) is (height > 0.3)
@@ -276,13 +243,3 @@ def test_schedules_keep_drones_off_objects_of_another_team_that_they_do_not_know
                 SampledPath(TeamMotion("s", motion)),
             )
             np.testing.assert_allclose(slacks(*tracks, SEPARATION), [[apart] * 11] * 11)
-
-
-@pytest.mark.parametrize("name", ["draw taut", "lay"])
-def test_schedules_keep_drones_off_cables_that_are_laid_below_them(name: str) -> None:
-    below = part(planned("lay_triangle").motion, name, name)
-    below = held(turned(below, 0.7, np.array([3.0, -7.0, 0.4])))
-    place = np.mean(below.drones.at(0.0)[2:4], axis=0) + [0.0, 0.0, 0.2]
-    hover = SampledPath(TeamMotion("s", lines(place[None], place[None], separation=SEPARATION)))
-    slack = slacks(SampledPath(TeamMotion("a", below)), hover, SEPARATION)
-    assert bool(slack[0, 0] < 0.0) is (name == "lay")

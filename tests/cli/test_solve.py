@@ -29,7 +29,7 @@ def diagnosis() -> Any:
 # Problems that take longest
 LONG = {
     "carry_box", "carry_tray", "crazyflie_triangle", "form_hexagon", "form_thirty_gon",
-    "form_with_friction", "grip_drum", "lay_twelve", "octagon_turned", "paper_experiment_1",
+    "form_with_friction", "grip_drum", "octagon_turned", "paper_experiment_1",
     "past_a_star_tip",
     "roll_32_gon", "tie_carry_untie", "weight_form_and_carry",
 }  # fmt: skip

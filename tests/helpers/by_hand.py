@@ -212,7 +212,7 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
         lowest = float(np.min(points[..., 2])) - (0.0 if arena is None else arena.lower[2])
     each = np.arange(s.team.drones)
     apart[:, each, each // 2] = math.inf
-    if state not in {CableState.GROUND, CableState.DRAWN}:
+    if state is not CableState.GROUND:
         lowest = min(lowest, own_cable_distance(s.motion, few))
     i, j = np.triu_indices(s.n, 1)
     if state in {CableState.CLASPING, CableState.TIGHTENING}:

@@ -24,16 +24,15 @@ OF_BODIES: set[Rows] = {
 }
 OF_PAIRS: set[Rows] = {teams.between_plans, teams.object_distances, teams.arc_distances}
 
-TAUT = cables.taut_cables, tying.laid_cables
+TAUT = (cables.taut_cables,)
 ROWS: dict[str, tuple[Rows, ...]] = {
     "interlacing": (links.interlacing,),
     "continuity": (consistency.jumps,),
     "consistency": (consistency.consistency,),
-    "laid": (tying.laid_cables,),
     **dict.fromkeys(("cable_length", "equilibrium", "contact"), TAUT),
     "crossing": (*TAUT, teams.between_plans),
     "tension": (consistency.jumps, cables.taut_cables, tying.free_cables),
-    **dict.fromkeys(("span", "drawn"), (tying.free_cables,)),
+    "span": (tying.free_cables,),
     "grip": (objects.gripped,),
     "yaw": (objects.steady,),
     "wrap": (objects.gripped,),
@@ -55,7 +54,7 @@ def opinion(path: Path, *functions: Rows) -> Iterator[second.Row]:
         if rows in OF_WHOLE:
             yield from chain(*map(rows, own))
         elif rows in OF_TAUT:
-            yield from chain(*(rows(p) for p in own if np.any(p.taut)))
+            yield from chain(*(rows(p) for p in own if np.any(p.formed)))
         elif rows in OF_BODIES:
             yield from chain(*(rows(p, b) for p in own for b in range(len(p.bodies))))
         elif rows in OF_PAIRS:

@@ -19,7 +19,6 @@ from tests.helpers.groups import (
     moved,
     two_hitches,
 )
-from tests.helpers.plans import planned
 
 MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 
@@ -113,12 +112,3 @@ def test_a_fleet_flies_by_commands() -> None:
         if plan.landed:
             break
     assert plan.landed
-
-
-def test_a_laid_hitch_flies_back_to_where_its_cables_hang() -> None:
-    motion = planned("lay_triangle").motion
-    abort = Aborts(ho.Flight.of(motion)).plan(motion.duration - 1.0, "back")
-    assert abort.certificate.certified
-    free = next(p for p in motion.phases if p.name == "draw taut")
-    back = abort.flight.drones.coefficients[-1, ..., -1]
-    np.testing.assert_allclose(motion.drones.at(free.end), back, atol=1e-6)

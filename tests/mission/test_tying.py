@@ -1,4 +1,4 @@
-"""Forming by swaps or laying, release, opening and landing in missions: plans, roles, refusals."""
+"""Forming, release and landing in missions: plans, roles, refusals."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.hitch.team import Assignment
 from hitchopt.values import Array
 from tests.helpers.plans import planned
-from tests.helpers.second_opinions import opinion_of
 
 TEAM = ho.Team(3, 2.4)
 TRIANGLE = np.array([[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]])
@@ -179,137 +177,6 @@ def test_nobody_flies_below_the_ground() -> None:
             forming(LINES + below, LINES * MIRROR + below, altitude=altitude)
     arena, below = ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0]), [0.0, 0.0, -3.0]
     forming(LINES + below, LINES * MIRROR + below, altitude=-1.0, arena=arena)
-
-
-HEAVY = ho.Team(3, 2.3, tension=0.7, cable_density=0.01)
-WIDE = ho.regular_polygon(3, 1.3, angle=0.4).vertices + [1.0, -2.0]
-SEPARATE = np.array([[-0.7, -1.2, 2.0], [-0.7, 0.0, 2.0], [-0.7, 1.2, 2.0]])
-
-
-def laid(team: ho.Team = HEAVY, **keys: Any) -> ho.Plan:
-    options = {"team": team, "polygon": WIDE, "altitude": 1.5, "by": "laying", **keys}
-    return ho.form(q=SEPARATE, r=SEPARATE * MIRROR, **options)
-
-
-def test_a_mission_lays_opens_closes_and_unlays() -> None:
-    plan = planned("lay_hexagon")
-    assert [phase.name for phase in plan.phases] == [
-        *("take-off", "approach", "draw taut", "slide in", "lay", "tension", "roll"),
-        *("open_vertex", "hold", "close_vertex"),
-        *("unroll", "relax", "lift", "slide out", "slacken", "land"),
-    ]
-    assert plan.certificate.certified
-    places = plan.at(np.linspace(9.0, 17.0, 50)).vertices
-    assert np.max(np.ptp(places, axis=0)) < 1e-9
-    # Only the pair of the open vertex moves, and its cables run straight there.
-    closed, opened = (plan.at(p.end).positions for p in plan.phases if p.name in {"roll", "hold"})
-    moved = np.linalg.norm(opened - closed, axis=1) > 1e-6
-    pair = plan.motion.team.listed.argsort()[[4, 3]]  # at the start of edge 2 and the end of edge 1
-    assert np.flatnonzero(moved).tolist() == sorted(pair)
-    q, p, r = opened[pair[0]], plan.at(13.0).vertices[2], plan.at(13.0).vertices[3]
-    assert (q - p) @ (r - p) < -0.99 * np.linalg.norm(q - p) * np.linalg.norm(r - p)
-
-
-def test_the_order_says_who_lies_on_top() -> None:
-    plan = laid(order=[2, 0, 1])
-    before = next(phase for phase in plan.phases if phase.name == "lay").start
-    heights = plan.at(before).positions[:, 2].reshape(3, 2).mean(axis=1)
-    assert np.argsort(heights).tolist() == [2, 0, 1]
-    assert plan.certificate.certified
-
-
-def test_a_hitch_that_is_there_opens_and_a_vertex_that_is_closed_does_not_close() -> None:
-    hitch = ho.Hitch(HEAVY, WIDE, 1.5, np.full(3, 0.64))
-    plan = ho.solve(hitch, ho.OpenVertex(1))
-    assert plan.certificate.certified
-    opened = ho.OpenVertex(1)
-    with pytest.raises(InputError, match="the open one, 1"):
-        ho.solve(hitch, [opened, ho.CloseVertex(2)])
-    with pytest.raises(InputError, match="open_vertex, then hold or close_vertex"):
-        ho.solve(hitch, [opened, ho.Morph(WIDE)])
-    with pytest.raises(InputError, match="needs an open vertex, and there is no open vertex"):
-        ho.solve(hitch, ho.CloseVertex(1))
-    with pytest.raises(InputError, match="0 to 2"):
-        ho.solve(hitch, ho.OpenVertex(3))
-    steps = [opened, ho.Hold(0.5), ho.CloseVertex(1), ho.Morph(1.05 * WIDE)]
-    assert ho.solve(hitch, steps).certificate.certified
-
-
-@pytest.mark.parametrize(
-    ("team", "words"),
-    [
-        (ho.Team(3, 2.3, tension=0.7), "cables without weight"),
-        (ho.Team(3, 2.3, tension=0.7, cable_density=0.01, load=0.01), "loads, which hang"),
-    ],
-)
-def test_teams_that_cannot_be_laid_are_refused_by_name(team: ho.Team, words: str) -> None:
-    with pytest.raises(UnsupportedError, match=rf"step 0 \(form\): .* {words}"):
-        laid(team)
-
-
-@pytest.mark.parametrize(
-    "tension", [pytest.param([0.7, 0.7, 0.6], marks=pytest.mark.slow), [0.6, 0.8, 0.7]]
-)
-def test_cables_of_unequal_tensions_are_laid_and_roll(tension: list[float], tmp_path: Path) -> None:
-    plan = laid(ho.Team(3, 2.3, tension=tension, cable_density=0.01))
-    assert plan.certificate.certified
-    assert plan.certificate["equilibrium"].worst < 2e-4
-    roll = next(phase for phase in plan.phases if phase.name == "roll")
-    opened, closed = (plan.at(time) for time in (roll.start + 1e-6, roll.end - 1e-6))
-    assert np.max(np.abs(closed.vertices - opened.vertices)) < 1e-9
-    assert {row.verdict for row in opinion_of(plan.motion, tmp_path)} == {"proven"}
-
-
-def test_laying_keeps_distances_for_the_errors_of_a_named_controller() -> None:
-    kind = ho.Quadrotor(0.132, controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0.0})
-    team = ho.Team(3, 2.3, tension=0.7, cable_density=0.01, quadrotor=kind)
-    plan = laid(team)
-    radius = plan.certificate["tracking_radius"]
-    assert plan.certificate.certified
-    assert radius.limit is not None
-    assert radius.worst >= radius.limit > 0.04
-
-
-@pytest.mark.parametrize("order", [[0, 1], [0, 1, 1], [0, 1, 3]])
-def test_an_order_names_every_robot_once(order: list[int]) -> None:
-    with pytest.raises(InputError, match="order"):
-        laid(order=order)
-    with pytest.raises(InputError, match="by: laying"):
-        laid(order=[0, 1, 2], by="swaps")
-
-
-def test_legs_that_do_not_clear_as_they_roll_bind_separation() -> None:
-    short = ho.Team(3, 2.0, tension=0.7, cable_density=0.01)
-    with pytest.raises(InfeasibleError, match="separation"):
-        laid(short, legs=[0.42, 0.42, 0.42])
-    assert laid(short).certificate["separation"].worst > 1.0
-
-
-TWO_LAYINGS = """
-teams:
-  a: {robots: 3, cable_length: 2.3, cable_density: 0.01, tension: 0.7}
-  b: {robots: 3, cable_length: 2.3, cable_density: 0.01, tension: [0.7, 0.7, 0.6]}
-limits: {tracking: 0.02}
-start:
-  a: {drones: {q: [[-3.7, 1.3, 0], [-3.7, 0, 0], [-3.7, -1.3, 0]],
-    r: [[-2.3, 1.3, 0], [-2.3, 0, 0], [-2.3, -1.3, 0]]}}
-  b: {drones: {q: [[2.3, 1.3, 0], [2.3, 0, 0], [2.3, -1.3, 0]],
-    r: [[3.7, 1.3, 0], [3.7, 0, 0], [3.7, -1.3, 0]]}}
-mission:
-  - a: {form: {polygon: [[-3, 0.751], [-2.35, -0.375], [-3.65, -0.375]], altitude: 1.5, by: laying}}
-    b: {form: {polygon: [[3, 0.751], [3.65, -0.375], [2.35, -0.375]], altitude: 1.5, by: laying}}
-"""
-
-
-@pytest.mark.slow
-def test_two_teams_lay_their_cables_beside_each_other(tmp_path: Path) -> None:
-    file = tmp_path / "two.yaml"
-    file.write_text(TWO_LAYINGS)
-    plan = ho.solve(file)
-    assert plan.certificate.certified
-    for team in plan.flight.teams:
-        assert "roll" in {phase.name for phase in team.motion.phases}
-    assert {row.verdict for row in opinion_of(plan.flight, tmp_path)} == {"proven"}
 
 
 def test_a_hitch_is_untied_with_the_errors_that_a_first_plan_lacks() -> None:

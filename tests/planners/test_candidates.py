@@ -224,16 +224,6 @@ def test_what_a_search_does_not_find_is_no_fault() -> None:
         assert first_certified(candidates(error, "planned"), Effort()) == "planned"
 
 
-def test_laying_is_a_candidate_of_forms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A planner's failure is told as that of a planner, as with swaps."""
-    form = {"polygon": TRIANGLE, "altitude": 1.5, "by": "laying"}
-    laid = {**FORM, "mission": [{"form": form}]}
-    fault = partial(failing, HitchoptError("no offset was found"))
-    monkeypatch.setattr("hitchopt.planners.tying.find_laying", lambda *_: fault())
-    with pytest.raises(PlannerError, match="no offset was found"):
-        ho.solve(ho.problem_from_dict(laid))
-
-
 def test_a_cable_that_errors_may_pull_taut_has_no_altitude() -> None:
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4, cable_density=0.005), TRIANGLE, 1.5)
     requirements = replace(Requirements(), position_error=1.1)

@@ -8,7 +8,6 @@ import multiprocessing
 import os
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.lab.simulation import judgement
 from hitchopt.lab.simulation.campaign import run_campaign, save_campaign
-from hitchopt.lab.simulation.contacts import MIN_BEARING_RATIO, ClaspContacts, least_bearing
+from hitchopt.lab.simulation.contacts import MIN_BEARING_RATIO, least_bearing
 from hitchopt.lab.simulation.departures import Failure
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import Outcome, judge
@@ -465,70 +464,6 @@ def test_objects_are_placed_up_to_the_tracking_errors_of_the_plan(
     assert box.well_placed is ("misplaced" not in kinds)
     for failure in outcome.failures:
         assert ("tracking errors" in failure.words) is (tracking is not None)
-
-
-@pytest.fixture(scope="module")
-def opened() -> ho.Plan:
-    """A triangle of which one vertex is opened, and then held."""
-    polygon = [[0.0, 0.751], [0.65, -0.375], [-0.65, -0.375]]
-    problem = {
-        "team": {"robots": 3, "cable_length": 2.3, "tension": 0.7, "cable_density": 0.01},
-        "start": {"hitch": {"polygon": polygon, "altitude": 1.5, "legs": [0.36] * 3}},
-        "mission": [{"open_vertex": {"vertex": 1}}, {"hold": {"seconds": 0.2}}],
-    }
-    return ho.solve(ho.problem_from_dict(problem))
-
-
-@pytest.mark.parametrize("pair", [-2, 0, 1])
-@pytest.mark.parametrize(("bearing", "fails"), [(0.02, False), (0.8, True)])
-def test_an_open_vertex_is_not_tied(
-    opened: ho.Plan, pair: int, bearing: float, fails: bool
-) -> None:
-    """Its straight cables may be linked over their drones or not, but hardly press."""
-    task, t = Task.of(opened.flight), np.arange(0.0, opened.duration + 1.005, 0.01)
-    layout = task.team.layout
-    linking = np.ones((3, 3), dtype=np.int64)
-    for i, j in ((layout.ahead[1], layout.behind[1]), (layout.behind[1], layout.ahead[1])):
-        linking[i, j] = pair
-    forces = np.ones((len(t), 3))
-    forces[:, 1] = bearing
-    known = {"linking": linking, "bearing": forces, "rested": opened.duration + 1.0}
-    known |= {"drones": np.repeat(task.states.positions[-1:], len(t), axis=0)}
-    flight = flight_of(task, regular_hitch(3), t, **known)
-    outcome = judge(flight)
-    assert [clasp.name for clasp in outcome.clasps] == ["p0", "p2"]
-    found = [(failure.kind, failure.where) for failure in outcome.failures]
-    assert found == ([("tangled", ("p1",))] if fails else [])
-    assert task.last_clasps.tolist() == [True, False, True]
-    assert task.teams[0].clasps_at(0).all()
-
-
-@pytest.mark.parametrize(("links", "each"), [(2, 1), (-2, -1), (0, 0), (1, 0), (-1, 0)])
-def test_two_cables_share_their_linking_number_over_both_clasps(links: int, each: int) -> None:
-    """Clasps of opposite senses sum to 0, and those of which one is lost to 1."""
-    layout = ho.Team(robots=2, cable_length=2.4).layout
-    linking = np.array([[0, links], [links, 0]])
-    assert judgement.clasp_links(linking, layout).tolist() == [each, each]
-
-
-def test_contacts_of_two_cables_are_told_apart_by_where_they_are_along_them() -> None:
-    """Cable 0 begins at vertex 0 and ends at vertex 1, and cable 1 the other way round.
-
-    Legs may be so short at one end that both clasps are in one half of a cable.
-    """
-    team = ho.Team(robots=2, cable_length=2.4)
-    contact = SimpleNamespace(
-        flex=np.array([[0, 1], [1, 0], [0, 1], [0, -1], [0, 1]]),
-        elem=np.array([[2, 17], [17, 2], [17, 2], [2, 2], [5, 9]]),
-        efc_address=np.arange(5),
-        pos=np.zeros((5, 3)),
-    )
-    data = SimpleNamespace(contact=contact, efc_force=np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
-    world: Any = SimpleNamespace(data=data, cable_vertices=np.array([0, 21, 42]))
-    at_clasps = ClaspContacts(world, team).now()
-    assert at_clasps.contacts.tolist() == [0, 1, 2, 4]
-    assert at_clasps.clasps.tolist() == [0, 0, 1, 0]
-    assert at_clasps.forces.tolist() == [1.0, 2.0, 3.0, 5.0]
 
 
 def test_clasps_of_bent_edges_need_a_share_of_what_a_cable_bends_with() -> None:

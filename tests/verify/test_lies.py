@@ -360,16 +360,6 @@ LIES = [
     Lie("form", "drones fly 1.4 m lower", both(plus("drones", -1.4, (slice(None), slice(None), 2)), plus("vertices", -1.4, (slice(None), slice(None), 2))), "cable_clearance"),
     Lie("form", "tension is there at once", at_once, "tension"),
     Lie("form", "a drone stands where its own other leg ends", in_phases("hitched", "drones", lambda x: np.stack([x[:, 0], x[:, 0] + [[0.06], [0.0], [0.0]]], axis=1), np.s_[:, :2]), "cable_clearance"),
-    # Laying.
-    Lie("lay", "the top cable comes from below", in_phases("being laid", "drones", lambda z: 2.0 * z[-1:, :, -1:] - z, np.s_[:, 4:6, 2]), "interlacing"),
-    Lie("lay", "pairs roll in the other sense", in_phases("roll", "drones", turned_over, np.s_[:, :, 2]), "interlacing"),
-    Lie("lay", "pairs roll open", in_phases("roll", "drones", lambda x: x[::-1, ..., ::-1]), "interlacing"),
-    Lie("lay", "cables stay 5 cm over each other", in_phases("being laid", "drones", lambda z: z + LAYERS, np.s_[:, :, 2]), "interlacing"),
-    Lie("lay", "a cable is laid slack", in_phases("being laid", "drones", nearer), "cable_length"),
-    Lie("lay", "a vertex moves while pairs roll", in_phases("roll", "vertices", lambda x: x + 1e-3, np.s_[20, 0, 0]), "consistency"),
-    Lie("lay", "pairs that roll are said to be hitched", stated("rolling", "hitched"), "contact"),
-    Lie("lay", "cables that are laid are said to hang free", stated("being laid", "hanging free"), "crossing"),
-    Lie("lay", "cables that are drawn taut are said to be laid", everywhere("state", "being laid", "draw taut"), "cable_length"),
     # Friction.
     Lie("slid", "legs pull 10 % harder", times("leg_tensions", 1.1), "equilibrium"),
     Lie("slid", "legs pull as their cables", removed("leg_tensions"), REFUSED),
@@ -412,7 +402,6 @@ LIES = [
 PLANS = {
     "morph": "triangle",
     "form": "form_triangle",
-    "lay": "lay_triangle",
     "slid": "friction",
     "swarm": "swarms/circle_6",
     "chain": "open_arc",

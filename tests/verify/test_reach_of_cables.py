@@ -66,28 +66,22 @@ def test_errors_of_ends_move_no_point_of_a_cable_farther_than_told(
     assert np.max(farthest / told) > 0.12
 
 
-def test_hanging_and_laid_cables_stay_within_their_regions() -> None:
-    """Hanging cables end above the lowest corner, laid ones above strips along their chords."""
+def test_hanging_cables_stay_above_the_lowest_corner_of_their_regions() -> None:
     rng = np.random.default_rng(3)
-    m, length, sag = 200, 2.4, 0.02
+    m, length = 200, 2.4
     k = np.arange(m)
     ways = unit(rng.normal(size=(m, 3)) * [1.0, 1.0, 0.5])
-    nearly_taut = 1.0 - sag * rng.uniform(0.01, 1.2, m)  # tensions within an eighth
-    for of_length, is_laid in ((rng.uniform(0.1, 0.99, m), False), (nearly_taut, True)):
-        ends = np.zeros((m, 2, 3))
-        ends[:, 1] = (of_length * length)[:, None] * ways
-        s = hanging(ends, length)
-        s.plan.sag = np.full((m, 1), sag)
-        q, r, *below = (corner.v for corner in (s.strip if is_laid else s.sheet)(k))
-        assert np.all(r == ends[:, 1])
-        sigma = catenary.catenary(s, 2 * k)[1].v[:, 0]
-        for mu in np.linspace(-1.0, 1.0, 41):
-            share = 0.5 * (1.0 + mu)
-            depth = catenary.catenary_depth(np.full(m, length), r[:, 2] - q[:, 2], sigma, mu)
-            lowest = (1.0 - share) * below[0] + share * below[1] if is_laid else below[0]
-            assert np.all(lowest[:, 2] <= (q + share * (r - q))[:, 2] - depth + 1e-9)
-        level = np.mean(below, axis=0)[:, :2]
-        np.testing.assert_allclose(level, 0.5 * (q + r)[:, :2], atol=1e-12)
+    ends = np.zeros((m, 2, 3))
+    ends[:, 1] = (rng.uniform(0.1, 0.99, m) * length)[:, None] * ways
+    s = hanging(ends, length)
+    q, r, lowest = (corner.v for corner in s.sheet(k))
+    assert np.all(r == ends[:, 1])
+    sigma = catenary.catenary(s, 2 * k)[1].v[:, 0]
+    for mu in np.linspace(-1.0, 1.0, 41):
+        share = 0.5 * (1.0 + mu)
+        depth = catenary.catenary_depth(np.full(m, length), r[:, 2] - q[:, 2], sigma, mu)
+        assert np.all(lowest[:, 2] <= (q + share * (r - q))[:, 2] - depth + 1e-9)
+    np.testing.assert_allclose(lowest[:, :2], 0.5 * (q + r)[:, :2], atol=1e-12)
 
 
 @pytest.mark.parametrize("state", [None, LOOSE])

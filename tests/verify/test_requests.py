@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from functools import cache
-from itertools import pairwise, permutations
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +181,7 @@ def found(name: str, path: Path_, value: Any, folder: Path) -> list[str]:
 def lie(name: str, path: str, value: Any) -> Any:
     """Return a lie by the words of its key, as ``mission 0 morph polygon``."""
     keys = tuple(int(x) if x.isdigit() else x for x in path.split())
-    slow = name in (BOX, "two_teams", "lay_triangle", "lay_hexagon")
+    slow = name in (BOX, "two_teams")
     marks = [pytest.mark.slow] if slow else []
     return pytest.param(name, keys, value, id=f"{name}: {path}", marks=marks)
 
@@ -238,7 +238,6 @@ LIES = [
     lie("tied", "start drones q 0", [-0.5, -1.2, 0.1]),
     lie("tied", "mission 0 form altitude", 1.3),
     lie("tied", "mission 0 form polygon 0", [0, 0.6]),
-    lie("tied", "mission 0 form by", "laying"),
     lie("tied", "mission 0 form swap radius", 0.5),
     lie("tied", "mission 0 form swap seconds", 30.0),
     lie("tied", "mission 0 form swap tilt_deg", 51),
@@ -257,8 +256,6 @@ LIES = [
     lie("swung", "mission 0 adjust settle", False),
     lie("swung", "mission 1 adjust legs roll_deg", -7),
     lie("tied", "mission 0 form legs", [0.5, 0.5, 0.5]),
-    lie("lay_hexagon", "mission 1 open_vertex vertex", 0),
-    lie("lay_hexagon", "mission 3 close_vertex vertex", 0),
     lie("grasped", "mission 1 grasp by", "rest"),
     lie("grasped", "mission 1 grasp tension", 1.2),
     lie("grasped", "objects drum mass", 0.031),
@@ -280,8 +277,6 @@ LIES = [
     lie("two_teams", "teams b cable_length", 2.1),
     lie("two_teams", "start b hitch altitude", 1.6),
     lie("two_teams", "mission 0 b transport to", [0, 2.6, 1.5]),
-    lie("lay_triangle", "mission 0 form by", "swaps"),
-    lie("lay_triangle", "mission 0 form order", [2, 1, 0]),
     lie("blended", "mission 0 move_vertex blend", False),
     lie("carried_on", "mission 1 transport blend", False),
     lie("carried_on", "mission 1 transport to 0", 0.51),
@@ -331,25 +326,9 @@ mission: [{{hold: {{seconds: 1.0}}}}]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [BOX, "two_teams", "lay_triangle", "carry_tray", "lay_hexagon"])
+@pytest.mark.parametrize("name", [BOX, "two_teams", "carry_tray"])
 def test_long_plans_show_what_was_asked_for(name: str, tmp_path: Path) -> None:
     assert found(name, (), None, tmp_path) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [[1, 0, 2], [2, 1, 0]])
-def test_only_the_order_of_laying_that_was_flown_is_believed(
-    order: list[int], tmp_path: Path
-) -> None:
-    data: Any = parse_yaml(text_of("lay_triangle"))
-    data["mission"][0]["form"]["order"] = order
-    flight, believed = planned_of(data).flight, list[list[int]]()
-    for asked in map(list, permutations(range(3))):
-        data["mission"][0]["form"]["order"] = asked
-        write_plan(tmp_path / "plan.npz", flight, "", json.dumps(data))
-        (plan,), _ = second.read(tmp_path / "plan.npz")
-        believed += [asked] * all(row.verdict == "proven" for row in second.requested(plan))
-    assert believed == [order]
 
 
 def test_legs_of_cables_that_sag_are_those_asked_for(tmp_path: Path) -> None:

@@ -35,11 +35,11 @@ QUICK = (
 GROUPS = ("two_teams", "two_layers", "beside_a_show", "hitch_and_swarm")
 SLOW = (
     *("carry_tray", "grip_drum", "tie_carry_untie", "roll_32_gon", "form_triangle", "open_arc"),
-    *("form_twelve_gon", "lay_triangle"),
+    "form_twelve_gon",
 )
 OWN = {
-    *("request", "consistency", "cable_loops", "contact", "penetration", "rim", "ground", "laid"),
-    *("outline_turn", "bend", "wrap", "passing", "drawn"),
+    *("request", "consistency", "cable_loops", "contact", "penetration", "rim", "ground"),
+    *("outline_turn", "bend", "wrap"),
 }
 """Limits that the certificate counts to others, or to infinity where they are broken."""
 

@@ -125,28 +125,6 @@ def test_bends_are_at_the_vertices() -> None:
         np.testing.assert_allclose(distances, 2.2 * scene.radius, rtol=1e-6)
 
 
-def test_cables_of_an_open_clasp_run_straight_the_one_that_was_laid_on_top_above() -> None:
-    motion = planned("lay_hexagon").motion
-    ends = {phase.name: phase.end for phase in motion.phases}
-    before = motion.drones.at(next(p.start for p in motion.phases if p.name == "lay"))
-    heights = before[:, 2].reshape(6, 2).mean(axis=1)
-    scene = scene_at(ho.Flight.of(motion), np.array([ends["tension"], ends["roll"], ends["hold"]]))
-    laid, tied, opened = scene.cables
-    ahead, behind = laid[:, CLASPS[0]], np.roll(laid[:, CLASPS[1]], 1, axis=0)
-    rise = np.sign(heights - np.roll(heights, 1))
-    offset = np.column_stack([np.zeros((6, 2)), 2.0 * scene.radius * rise])
-    np.testing.assert_allclose(ahead - behind, offset, atol=0.1 * scene.radius)
-    offset = (np.arange(6)[:, None] - np.arange(6)) % 6
-    neighbours = np.isin(offset, (1, 5)).astype(int)
-    np.testing.assert_array_equal(np.abs(linking_matrix(list(tied))), neighbours)
-    neighbours[1, 2] = neighbours[2, 1] = 0  # p2 is open
-    np.testing.assert_array_equal(np.abs(linking_matrix(list(opened))), neighbours)
-    for cable, bend in ((1, CLASPS[1]), (2, CLASPS[0])):
-        steps = np.diff(opened[cable, bend - 6 : bend + 7], axis=0)
-        along = steps / np.linalg.norm(steps, axis=1)[:, None]
-        assert np.min(along @ along[0]) > np.cos(0.5)  # it is lifted over the other, by a radius
-
-
 def test_edges_around_a_circle_are_its_tangents_and_arc() -> None:
     angles = 0.3 - 2.0 * np.pi * np.arange(3) / 3
     flat = 0.24 * np.column_stack([np.cos(angles), np.sin(angles)])

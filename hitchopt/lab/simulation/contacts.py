@@ -70,7 +70,6 @@ class CableContacts(NamedTuple):
     """All contacts of one step, or of several, with their bodies by flexes; -1 for other bodies."""
 
     flexes: Index  # (contacts, 2)
-    elements: Index  # (contacts, 2), elements of the flexes, the segments of cables
     rows: Index  # (contacts,), rows of the constraints; -1 for contacts without a force
     forces: Array  # (contacts,) [N], normal forces
     positions: Array  # (contacts, 3) [m]
@@ -83,7 +82,6 @@ class CableContacts(NamedTuple):
         normal_forces = np.maximum(world.data.efc_force[contact.efc_address], 0.0)
         return cls(
             flexes=contact.flex.copy(),
-            elements=contact.elem.copy(),
             rows=contact.efc_address.copy(),
             forces=np.asarray(normal_forces),
             positions=contact.pos.copy(),
@@ -102,15 +100,11 @@ class ClaspContacts:
         self._world = world
         layout = team.layout
         self._clasps = np.arange(len(layout.clasps))
-        # Clasp of a contact by both its flexes: where the second cable begins, and where it ends.
-        # The last row and column are those of contacts with other bodies, whose flex is -1.
-        begins = np.full((team.robots + 1, team.robots + 1), -1)
-        begins[layout.behind, layout.ahead] = self._clasps
-        in_any_order = np.maximum(begins, begins.T)
-        self._where_begins = np.where(begins >= 0, begins, in_any_order)
-        self._where_ends = np.where(begins.T >= 0, begins.T, in_any_order)
-        self._clasps_twice = bool(np.any(self._where_begins != self._where_ends))
-        self._segments = np.diff(world.cable_vertices) - 1
+        # Clasp of a contact by both its flexes. The last row and column are those of contacts with
+        # other bodies, whose flex is -1.
+        self._clasp_of_flexes = np.full((team.robots + 1, team.robots + 1), -1)
+        self._clasp_of_flexes[layout.behind, layout.ahead] = self._clasps
+        self._clasp_of_flexes[layout.ahead, layout.behind] = self._clasps
         self._steps: list[CableContacts] = []  # since the last call of ``collect``
 
     def now(self) -> ContactsAtClasps:
@@ -120,11 +114,7 @@ class ClaspContacts:
     def _at_clasps(self, contacts: CableContacts) -> ContactsAtClasps:
         """Return the contacts at clasps that have forces."""
         first, second = contacts.flexes.T
-        clasps = self._where_begins[first, second]
-        if self._clasps_twice:
-            along_first, along_second = contacts.elements.T / self._segments[contacts.flexes.T]
-            at_end = along_second >= along_first
-            clasps = np.where(at_end, self._where_ends[first, second], clasps)
+        clasps = self._clasp_of_flexes[first, second]
         (pressing,) = np.nonzero((clasps >= 0) & (contacts.rows >= 0))
         return ContactsAtClasps(pressing, clasps[pressing], contacts.forces[pressing])
 

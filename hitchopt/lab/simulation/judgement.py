@@ -191,7 +191,7 @@ class ClaspState:
     """State of one vertex at the end of a flight."""
 
     name: str  # p0, p1, …
-    linking: int  # Gauss's linking number of its two cables, over their clasps; ±1 for a clasp
+    linking: int  # Gauss's linking number of its two cables; ±1 for a clasp
     bearing: float  # contact force at rest [N]
     # its smallest value for a clasp [N]; cables that only cross may also be linked
     least_bearing: float
@@ -290,13 +290,9 @@ def _is_failure(pair: tuple[str, str], lost: Loss, drones: set[str]) -> bool:
 def clasp_links(links: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
     """Return the linking number of each clasp (clasps,), ±1 if it holds.
 
-    ``links`` (n, n) are those of all cables. Clasps of the same two cables share theirs equally,
-    and have 0 if it does not divide.
+    ``links`` (n, n) are those of all cables.
     """
-    pairs = np.sort(np.stack([layout.behind, layout.ahead], axis=-1))
-    same = np.all(pairs[:, None] == pairs, axis=-1)
-    shares, rest = np.divmod(links[layout.behind, layout.ahead], np.sum(same, axis=1))
-    return np.asarray(np.where(rest == 0, shares, 0))
+    return links[layout.behind, layout.ahead]
 
 
 def vertices_of(flight: SimulatedFlight) -> dict[str, ClaspState]:

@@ -43,7 +43,7 @@ class VertexAtRest:
     mean: float
     deviation: float
     largest: float
-    linking: int  # linking number of its two cables, over their clasps; ±1 for a clasp
+    linking: int  # linking number of its two cables; ±1 for a clasp
     bearing: float  # mean contact force [N]
     # slip along its cables in the pull test [m]; nan without one, where other drones move
     moved: float

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from hitchopt.drones.controllers import EstimatorParameters, FlightController
 from hitchopt.exports.directory import refuse_mixture
-from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion, team_label
 from hitchopt.motion.loads import tautness
-from hitchopt.motion.motion import OPEN_STATES, CableState, Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
@@ -325,23 +324,8 @@ class TeamTask:
         return np.searchsorted(breaks, self.states.t, side="right")
 
     def clasps_at(self, index: int) -> Flags:
-        """Return whether clasps exist at a sample (clasps,).
-
-        They do if a hitch is formed, except those that are open: their legs run straight on, so
-        that the legs' difference is opposite to that of closed ones, ``u_k + u_{k-1}``.
-        """
-        states, motion, layout = self.states, self.motion, self.team.layout
-        exist = np.full(len(layout.clasps), states.formed[index])
-        if motion is None or motion.has_wraps or not states.formed[index]:
-            return exist
-        drones, vertices = states.positions[index], states.vertices[index]
-        edges = unit(layout.edges(vertices))
-        corners = vertices[layout.clasps]
-        q = unit(drones[2 * layout.ahead] - corners)
-        r = unit(drones[2 * layout.behind + 1] - corners)
-        along = np.sum((q - r) * (edges[layout.ahead] + edges[layout.behind]), axis=-1)
-        may_be_open = motion.in_states(OPEN_STATES)[self.pieces[index]]
-        return np.asarray(exist & ~((along < 0.0) & may_be_open))
+        """Return whether clasps exist at a sample (clasps,): they do if a hitch is formed."""
+        return np.full(len(self.team.layout.clasps), self.states.formed[index])
 
     def load_shares(self, index: int) -> Array:
         """Return the shares (n,) of loads that cables carry at a sample."""
@@ -371,11 +355,8 @@ class Span(NamedTuple):
 
 
 def closed_spans(part: TeamTask) -> Iterator[Span]:
-    """Yield the spans of samples in which the hitch of a team is formed, and no clasp is open."""
-    closed = part.states.formed
-    if part.motion is not None:
-        closed = closed & ~part.motion.in_states(OPEN_STATES)[part.pieces]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], closed, [False]])))
+    """Yield the spans of samples in which the hitch of a team is formed."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], part.states.formed, [False]])))
     for first, end in edges.reshape(-1, 2).tolist():
         if end - first > 1:
             yield Span(first, end - 1)

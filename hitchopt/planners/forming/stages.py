@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from hitchopt.checks.hanging import above_ground
-from hitchopt.checks.tracking import DRAWING_SPEED
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
@@ -41,10 +40,6 @@ BACKWARD = {
     "swap 2": "unswap 1",
     "tighten": "loosen",
     "tension": "relax",
-    "draw taut": "slacken",
-    "slide in": "slide out",
-    "lay": "lift",
-    "roll": "unroll",
     "approach": "leave",
     "lower": "raise",
 }
@@ -96,11 +91,7 @@ def straight_stages(
     stages = list[Motion]()
     for name, drones, state in keyframes:
         if np.max(np.abs(drones - start)) >= POSITION_TOLERANCE:
-            if state is CableState.DRAWN:
-                progress = drawing_progress(team, requirements, start, drones)
-                lines = on_lines(progress, start, drones)
-            else:
-                lines = straight_lines(team, requirements.limits, start, drones)
+            lines = straight_lines(team, requirements.limits, start, drones)
             stages.append(stage(name, lines, team, requirements, index, state))
         start = drones
     return stages
@@ -190,7 +181,6 @@ JOINT_RESERVE = 2e-3
 """[m] Reserve for bounds of ``tracking_radius``, which are lower than values at samples."""
 
 SLACK_SAMPLES = 201  # Number of samples of a motion that makes cables taut
-DRAWING_SHARE = 0.9  # Speed of drones that draw cables taut, over its limit
 PAUSE = 0.01  # [s] Duration of a flight in which no drone moves
 
 
@@ -221,21 +211,6 @@ def line_progress(
     progress = clock.coefficients / clock.coefficients[-1, -1]
     # Rounding would lead below the floor
     return PiecewisePolynomial(clock.breaks, np.clip(progress, 0.0, 1.0))
-
-
-def drawing_progress(
-    team: Team, requirements: Requirements, start: Array, end: Array
-) -> PiecewisePolynomial:
-    """Return the progress along straight lines on which cables are drawn taut, from 0 to 1.
-
-    From where errors of position could pull a cable taut, the drones are slow (see
-    ``hitchopt.checks.tracking``).
-    """
-    shares = np.linspace(0.0, 1.0, SLACK_SAMPLES)
-    drones = start + shares[:, None, None] * (end - start)
-    slack = np.min(team.cable_length - length(drones[:, 1::2] - drones[:, 0::2]), axis=1)
-    error, speed = requirements.height_error, DRAWING_SHARE * DRAWING_SPEED
-    return tightening_progress(team, requirements.limits, start, end, slack, error, speed)
 
 
 def tightening_progress(
