@@ -143,7 +143,7 @@ def _copied(motion: ho.Motion) -> ho.Motion:
 def drawn_loss(plan: ho.Plan, rng: np.random.Generator) -> Loss:
     """Return the loss of a random robot at a random time of a plan."""
     robot = int(rng.integers(plan.motion.team.robots))
-    return Loss(str(robot), round(float(rng.uniform(0.0, plan.duration - 0.2)), 2), cut=True)
+    return Loss(str(robot), round(float(rng.uniform(0.0, plan.duration - 0.2)), 2))
 
 
 def _refusal(error: ho.InfeasibleError) -> str:

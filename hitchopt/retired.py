@@ -14,6 +14,8 @@ RETIRED: Mapping[str, str] = {
     "form.order": "omit it: drones swap to tie a hitch",
     "open_vertex": "release the hitch",
     "close_vertex": "form the hitch",
+    "simulate --lose": "lose a whole robot (--cut)",
+    "check --survivable": "set limits.survive, with which every plan survives the loss of a robot",
     "ho.Tie": "hold objects by three robots or more: ho.Form, ho.Enclose and ho.Grasp",
     "ho.Untie": "use ho.Loosen and ho.Leave, then ho.Release",
     "ho.OpenVertex": "use ho.Release",

@@ -24,13 +24,12 @@ class Feature(StrEnum):
     PLAYER = "a player, which slows the clock"
     ABORT = "an abort"
     REPLANNER = "a replanner"
-    REACTION = "a reaction to a lost drone"
     SURVIVING = "`limits.survive`"
     STATICS = "statics"
     SIMULATION = "simulation"
     SCENE = "a scene for MuJoCo"
     CLASPS = "simulation with `clasps`"
-    SIMULATED_LOSS = "the simulated loss of a drone"
+    SIMULATED_LOSS = "the simulated loss of a robot"
     EVALUATE = "evaluate"
     CALIBRATE = "calibrate"
 
@@ -70,12 +69,12 @@ class Refusal(NamedTuple):
 
 
 _ONE_TEAM = (
-    *(Feature.MOTION, Feature.END, Feature.REPLANNER, Feature.REACTION, Feature.STATICS),
+    *(Feature.MOTION, Feature.END, Feature.REPLANNER, Feature.STATICS),
     *(Feature.CLASPS, Feature.SIMULATED_LOSS, Feature.EVALUATE, Feature.CALIBRATE),
 )
 """Features that support a single team."""
 
-_ALONE = (Feature.REPLANNER, Feature.REACTION, Feature.SIMULATED_LOSS)
+_ALONE = (Feature.REPLANNER, Feature.SIMULATED_LOSS)
 """Those that support no external plans next to it."""
 
 _NO_END = Refusal(
@@ -128,7 +127,6 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         "{other} flies on a clock that cannot be slowed",
         "plan without others, or use aborts only",
     ),
-    (Feature.REACTION, Neighbour.OBJECTS): Refusal("the team carries objects, or flies near them"),
     (Feature.SURVIVING, Neighbour.OBJECTS): Refusal(
         "omitted with objects: those that are held fall, as all cables are loose until they are a "
         "chain, and distances of others from what falls and swings are not bounded",

@@ -24,7 +24,6 @@ from hitchopt.lab.simulation.hitched import fly_hitched
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.statics.tolerance import taut_times
-from hitchopt.live.lost import Reactions
 from hitchopt.motion.flight import TeamMotion
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import final_hitch
@@ -166,7 +165,6 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
         ho.Flight.of(with_team(quadrotor=ho.Quadrotor(controller="mellinger")))
     ),
     (Feature.PLAYER, Neighbour.OTHERS): lambda: ho.Player(in_company(triangle(), Neighbour.OTHERS)),
-    (Feature.REACTION, Neighbour.OBJECTS): lambda: Reactions(carrying()).plan("q0", 1.0),
     (Feature.SURVIVING, Neighbour.OBJECTS): lambda: Requirements(
         ho.Limits(survive="cable"), objects={"drum": DRUM}
     ).flown_by(ho.Team(3, 2.4, release=True, quadrotor="paper_132g")),

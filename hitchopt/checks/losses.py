@@ -594,8 +594,7 @@ SURVIVABLE = CheckRule(
     ease="length",
     group="timing",
     proves="with ``limits.survive``, the fraction of (robot, time) after whose loss the others "
-    "remain in balance; otherwise that of (drone, time) whose loss has a certified reaction, only "
-    "by `check --survivable`",
+    "remain in balance",
     unproven="what falls; loose cables that swing sideways; phases without a taut hitch, and times "
     "at which a plan does not stop before one: `react` refuses these",
 )

@@ -72,11 +72,6 @@ NAMES = tuple(quantity.name for quantity in QUANTITIES)
 """Names of all checks, which custom rules cannot take."""
 
 
-def rules_of(*kinds: Kind) -> tuple[CheckRule, ...]:
-    """Return the rules that limit bodies of these kinds, alone or in pairs with each other."""
-    return tuple(rule for rule in RULES if any(set(bodies) <= set(kinds) for bodies in rule.bodies))
-
-
 def distances_of(*kinds: Kind) -> tuple[CheckRule, ...]:
     """Return the rules of distances between bodies of these kinds."""
     return tuple(rule for rule in RULES if any(set(pair) <= set(kinds) for pair in rule.pairs))

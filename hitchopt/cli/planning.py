@@ -9,7 +9,7 @@ import os
 import re
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -48,9 +48,6 @@ from hitchopt.tables import table
 
 if TYPE_CHECKING:
     from hitchopt.mission.repair import Suggestion
-
-if TYPE_CHECKING:
-    from hitchopt.live.lost import UnsurvivableSpan
     from hitchopt.motion.flight import Flight
 
 MIN_SEARCH_TIME = 1e-3  # Minimum time limit of the search for changes [s]
@@ -285,10 +282,6 @@ def _suggestions(
         1.0,
         "FLOAT",
     ),
-    option(
-        "--survivable",
-        "Report how many losses of a drone have a certified reaction (slow).",
-    ),
 )
 def check(
     directory: Path,
@@ -297,7 +290,6 @@ def check(
     gamma: float,
     *,
     closest: bool,
-    survivable: bool,
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.exports.directory import (
@@ -312,24 +304,10 @@ def check(
     flight = saved.flight
     with ProgressBar("certifying") as progress:
         certificate = ho.certify(saved, progress, gamma)
-    unsurvivable: Sequence[UnsurvivableSpan] = ()
-    if survivable:
-        from hitchopt.live.lost import survivable as survivable_share
-        from hitchopt.support import Feature
-
-        with ProgressBar("planning reactions") as progress:
-            motion = flight.of_one_team(Feature.REACTION)
-            share, unsurvivable = survivable_share(motion, progress=progress)
-        if share.name not in [each.name for each in certificate.limited]:
-            reported = (*certificate.checks[len(certificate.limited) :], share)
-            certificate = replace(certificate, reports=lambda: reported)
-        record(without_reaction=[asdict(span) for span in unsurvivable])
     show_plan(saved.title, flight, certificate)
     _show_vertex_errors(flight)
     content = certificate_content(flight, certificate, path)
     record(certificate=content)
-    for span in unsurvivable:
-        say(f"{span.drone}, {span.start:.4g} s to {span.end:.4g} s: {span.reason}")
     if closest or picture is not None:
         with ProgressBar("finding the closest neighbours"):
             neighbours = ho.closest(ho.Plan(flight, certificate), picture=picture, width=width)

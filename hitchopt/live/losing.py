@@ -322,8 +322,7 @@ def _taut_run(motion: Motion, time: float, robot: str) -> Motion:
             raise InfeasibleError([], f"loss of {robot} at t = {time:.4g} s: {reason}")
     spans = [f"{each[0]:.4g} to {each[-1]:.4g} s" for each in (run.drones.breaks for run in runs)]
     bound = f"while a hitch is taut, {' or '.join(spans) or 'never in this plan'}"
-    remedy = f"otherwise all land after the loss of {robot}: see hitchopt simulate --lose"
-    raise InputError("t", time, bound, remedy)
+    raise InputError("t", time, bound, "choose a time within it")
 
 
 def _chain_motion(reaction: Reaction, planned: Motion, *, level: bool) -> Motion:

@@ -17,8 +17,7 @@ Rounding: a polynomial has an error of ``2**-48`` of its coordinates, its k-th d
 duration h of a piece). As in the certificate, the tolerance of a limit is 1e-9 of the largest of
 itself and the coordinates. With ``limits.tracking``, distances are proven twice: of the plan, as in
 the certificate, and with the tracking errors of all drones, which bound ``tracking_radius``.
-Excluded are ``stoppable``, ``survivable`` without ``limits.survive``, and the tracking radius
-unless it is limited.
+Excluded are ``stoppable``, and the tracking radius unless it is limited.
 
 To read it, begin with ``plan.py`` (what a file has), ``arithmetic.py`` and ``spans.py`` (what a
 proof is), and ``cables.py`` (the formulas of taut cables); ``driver.py`` has the order of rows.

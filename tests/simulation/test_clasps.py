@@ -280,8 +280,8 @@ def test_a_campaign_has_distributions_of_vertices(tmp_path: Path) -> None:
 
 
 def test_what_needs_ropes_is_refused() -> None:
-    settings = replace(SLIDING, lost=Loss("q0", 0.1))
-    with pytest.raises(InputError, match=r"lose = .*simulate ropes"):
+    settings = replace(SLIDING, lost=Loss("0", 0.1))
+    with pytest.raises(InputError, match=r"cut = .*simulate ropes"):
         fly(resting_task(regular_hitch(3), 0.2), settings)
     with pytest.raises(InputError, match="a plan without a hitch"):
         fly(resting_task(regular_hitch(3), 0.2, formed=False), SLIDING)

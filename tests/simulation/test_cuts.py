@@ -71,7 +71,7 @@ def test_neighbours_are_shorter_by_the_bends_that_vanish() -> None:
 @pytest.mark.parametrize("robot", [0, 2])
 def test_setpoints_are_those_of_the_plan_its_stop_and_the_chain(robot: int) -> None:
     plan, time = square(), 0.6
-    task, found = task_with_cut(Task.of(plan.flight), Loss(str(robot), time, cut=True), react=True)
+    task, found = task_with_cut(Task.of(plan.flight), Loss(str(robot), time), react=True)
     states, team = task.states, plan.motion.team
     drones = np.arange(team.drones)
     lost = drones // 2 == robot
@@ -94,7 +94,7 @@ def test_setpoints_are_those_of_the_plan_its_stop_and_the_chain(robot: int) -> N
 
 
 def test_without_a_reaction_all_others_fly_on() -> None:
-    plan, loss = square(), Loss("1", 0.6, cut=True)
+    plan, loss = square(), Loss("1", 0.6)
     task, found = task_with_cut(Task.of(plan.flight), loss, react=False)
     states = task.states
     planned = plan.at(states.t)
@@ -109,15 +109,15 @@ def test_cuts_without_an_answer_are_refused() -> None:
     task = Task.of(square().flight)
     for text, words in {"7@0.5": "cut = '7': must be one of 0", "1@99": "cut = 99"}.items():
         with pytest.raises(ho.InputError, match=words):
-            task_with_cut(task, Loss.parsed(text, cut=True), react=True)
+            task_with_cut(task, Loss.parsed(text), react=True)
     for text in ("2", "2@", "@1", "2@soon"):
         with pytest.raises(ho.InputError, match=r"write 2@12\.5"):
-            Loss.parsed(text, cut=True)
+            Loss.parsed(text)
 
 
 @pytest.mark.slow
 def test_the_others_hold_a_chain_within_the_bound_only_if_they_react() -> None:
-    plan, loss = square(), Loss("2", 0.6, cut=True)
+    plan, loss = square(), Loss("2", 0.6)
     bound = float(np.max(displacements(plan.motion.team)))
     taut = []
     for react in (True, False):

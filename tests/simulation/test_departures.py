@@ -65,7 +65,7 @@ def test_errors_after_the_plan_and_after_a_loss_do_not_count() -> None:
     stated = task(0.03)
     later = flight_of(stated, HITCH, T, drones=moved(0, [0.0, 0.0, -0.5], after=1.2))
     assert kinds(later) == []
-    lost = Settings(lost=Loss("q0", 0.4))
+    lost = Settings(lost=Loss("0", 0.4))
     falls = flight_of(stated, HITCH, T, drones=moved(0, [0.0, 0.0, -0.5]), settings=lost)
     assert kinds(falls) == []
 

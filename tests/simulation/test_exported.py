@@ -281,20 +281,6 @@ def test_parts_are_flown_with_what_the_script_does_between_them(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_a_drone_of_an_export_is_lost_while_the_others_fly_on(
-    plan: ho.Plan, tmp_path: Path
-) -> None:
-    folder = exported(plan, tmp_path / "files", "crazyswarm2")
-    result = CliRunner().invoke(main, ["simulate", str(folder), "--lose", "q1@0.3"])
-    assert (
-        "exported files contain no reaction to a loss: the other drones continue as planned"
-        in result.stdout
-    )
-    content = json.loads((folder / "simulation" / "simulation.json").read_text(encoding="utf-8"))
-    assert content["loss"]["lost"] == "q1"
-
-
-@pytest.mark.slow
 def test_the_evaluation_of_a_flown_export_agrees_to_a_millimetre(
     plan: ho.Plan, tmp_path: Path
 ) -> None:

@@ -149,7 +149,7 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
         lambda: ho.tolerance(plan, cable_error=0.01),
         lambda: ho.evaluate(recording, folder),
         lambda: ho.calibrate(recording, folder),
-        lambda: Simulation.of(task, replace(BRIEF, lost=Loss("a.q0", 1.0))),
+        lambda: Simulation.of(task, replace(BRIEF, lost=Loss("a.0", 1.0))),
     ):
         with pytest.raises(UnsupportedError, match="supports a single team, not a, b"):
             call()

@@ -145,12 +145,6 @@ def _settings_options() -> Sequence[click.Option]:
     ),
     _settings_options,
     option(
-        "--lose",
-        "Stop the motors of a drone at a time, such as q0@12.5; the others react.",
-        str,
-        "DRONE@SECONDS",
-    ),
-    option(
         "--cut",
         "Let a robot drop its cable and leave upward at a time, such as 2@12.5; the others react "
         "as hitchopt react plans.",
@@ -166,7 +160,6 @@ def simulate(
     plan: Path | None,
     runs: int | None,
     workers: int | None,
-    lose: str | None,
     cut: str | None,
     perturb: Mapping[str, Any],
     width: float | None,
@@ -183,20 +176,18 @@ def simulate(
     A single flight exits with 3 if drones touch, leave limits.tracking or the arena, or hit the
     ground in flight; if a cable is pulled with five times its planned tension; if a vertex does not
     hold at a rest; if an object is touched, dropped or not placed within 3 cm and 5° beyond the
-    plan's tracking errors; or if the simulation leaves its valid range. With --lose it also does if
-    a survivor touches anything or no reaction is found (exports contain none), and with --cut if
+    plan's tracking errors; or if the simulation leaves its valid range. With --cut it also does if
     anything but the falling cable is touched. A campaign (--runs) exits with 0 and reports the
     success rate. Vertex errors are distances in space, sag included.
     """
     from hitchopt.lab.simulation.commands import flown_gains
     from hitchopt.lab.simulation.exported import is_export
     from hitchopt.lab.simulation.judgement import warnings
-    from hitchopt.lab.simulation.settings import Loss, settings_of
+    from hitchopt.lab.simulation.settings import settings_of
     from hitchopt.lab.simulation.task import read_task
     from hitchopt.motion.plan_file import read_saved_plan
 
-    losses = {"lose": lose, "cut": cut}
-    _check_flights(runs, workers, losses, width, reaction=reaction)
+    _check_flights(runs, workers, cut, width, reaction=reaction)
     exported = None
     if plan is not None or is_export(directory):
         exported, source = _read_export(directory, plan), plan or directory
@@ -214,11 +205,6 @@ def simulate(
         say(drones, drones=drones)
     if cut is not None:
         settings, task = _with_cut(settings, task, cut, react=reaction)
-    elif lose is not None and exported is not None:
-        settings = replace(settings, lost=Loss.parsed(lose))
-        say("exported files contain no reaction to a loss: the other drones continue as planned")
-    elif lose is not None:
-        settings, task = _with_loss(directory, settings, task, lose, react=reaction)
     for warning in warnings(task, settings):
         say(f"note: {warning}")
     folder = directory / RESULTS if output is None else output
@@ -239,24 +225,20 @@ def simulate(
 def _check_flights(
     runs: int | None,
     workers: int | None,
-    losses: Mapping[str, str | None],
+    cut: str | None,
     width: float | None,
     *,
     reaction: bool,
 ) -> None:
     """Raise InputError for options of a single flight with several, or the reverse."""
-    stated = {key: loss for key, loss in losses.items() if loss is not None}
-    if runs is not None:
-        for key, loss in stated.items():
-            raise InputError(key, loss, "of a single flight", "omit --runs")
-    if len(stated) > 1:
-        raise InputError("cut", losses["cut"], "omitted with lose", "simulate one loss")
+    if runs is not None and cut is not None:
+        raise InputError("cut", cut, "of a single flight", "omit --runs")
     if runs is not None and width is not None:
         raise InputError("width", width, "of the picture of a single flight", "omit --runs")
     if runs is None and workers is not None:
         raise InputError("workers", workers, "of several flights", "add --runs")
-    if not stated and not reaction:
-        raise InputError("reaction", False, "omitted without a loss", "add --lose or --cut")
+    if cut is None and not reaction:
+        raise InputError("reaction", False, "omitted without a loss", "add --cut")
 
 
 def _read_export(directory: Path, plan: Path | None) -> ExportedFlight:
@@ -293,40 +275,12 @@ def _fly_campaign(
     say(message, directory=str(folder), campaign=campaign.to_dict())
 
 
-def _with_loss(
-    directory: Path, settings: Settings, task: Task, text: str, *, react: bool
-) -> tuple[Settings, Task]:
-    """Return settings and task of a flight with the loss of a drone, and report the reaction."""
-    from hitchopt.lab.simulation.settings import Loss
-    from hitchopt.lab.simulation.task import Task
-    from hitchopt.live.lost import RELEASE_TIME, Reactions
-    from hitchopt.motion.plan_file import read_plan
-    from hitchopt.support import Feature
-
-    loss = Loss.parsed(text)
-    settings = replace(settings, lost=loss)
-    if not react:
-        return settings, task
-    with ProgressBar("planning the reaction"):
-        motion = read_plan(plan_path(directory)).of_one_team(Feature.REACTION)
-        reaction = Reactions(motion).plan(loss.name, loss.time)
-    say(
-        f"reaction: tension is released from t = {reaction.start:.3f} s, all drones are on the "
-        f"ground at {reaction.motion.duration:.3f} s; hovering takes up to {reaction.thrust:.0%} "
-        "of a drone's thrust"
-    )
-    released = task.of_one_team(Feature.REACTION).released(
-        reaction.motion, reaction.start, RELEASE_TIME
-    )
-    return settings, Task((released,))
-
-
 def _with_cut(settings: Settings, task: Task, text: str, *, react: bool) -> tuple[Settings, Task]:
     """Return settings and task of a flight that loses a robot, and report the reaction."""
     from hitchopt.lab.simulation.cuts import task_with_cut
     from hitchopt.lab.simulation.settings import Loss
 
-    loss = Loss.parsed(text, cut=True)
+    loss = Loss.parsed(text)
     if task.received is not None:
         raise InputError("cut", text, "of a plan, since files do not react", "name a plan's folder")
     with ProgressBar("planning the reaction"):

@@ -101,10 +101,6 @@ class Autopilots:
         """Current moments (2n, 3) [N m] about the bodies' axes."""
         return self._motors @ self._wrench
 
-    def stop(self, drone: int) -> None:
-        """Stop the motors of a drone, whose thrust fades with their lag."""
-        self._max_thrust[drone] = 0.0
-
     def advance(self, commands: Commands, bodies: RigidBodies, seconds: float) -> None:
         """Run controllers and motors for the next ``seconds``, by the received setpoints.
 

@@ -330,10 +330,6 @@ class Pilots:
         self.thrusts = np.zeros(team.drones)
         self.moments = np.zeros((team.drones, 3))
 
-    def stop(self, drone: int) -> None:
-        """Stop the motors of a drone, whose thrust fades with their lag."""
-        self._max_thrust[drone] = 0.0
-
     def integrate(self, errors: Array, seconds: float) -> None:
         """Integrate position errors (2n, 3) [m] over some time."""
         integral = self._integral + seconds * self.gains.integral * errors

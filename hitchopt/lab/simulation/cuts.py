@@ -43,7 +43,7 @@ def task_with_cut(task: Task, loss: Loss, *, react: bool) -> tuple[Task, Remaini
     try:
         found = after_loss_of(flight, loss.name, loss.time)
     except InputError as error:
-        raise error.renamed(lambda _: loss.key) from None
+        raise error.renamed(lambda _: "cut") from None
     states = (_with_reaction if react else _without)(motion, found, loss)
     team = motion.team
     leaving, late = _drones(team, loss.drones), states.t >= loss.time

@@ -52,7 +52,7 @@ class Failure:
 
 
 def departures(flight: SimulatedFlight) -> Iterator[Failure]:
-    """Yield the failures of drones and cables until the loss of a drone, one each of a kind."""
+    """Yield the failures of drones and cables until the loss of a robot, one each of a kind."""
     lost, error = flight.settings.lost, flight.error
     if error is not None and error.time < 0.0:  # it ended before it began
         return

@@ -95,10 +95,6 @@ class Fleet:
         """Current thrusts (drones,) [N]."""
         return self._pilots.thrusts
 
-    def stop(self, drone: int) -> None:
-        """Stop the motors of a drone."""
-        self._pilots.stop(drone)
-
     def end_at(self, index: int, task: Task) -> None:
         """Hold the setpoint of a sample, at which the plan ends with ``task``."""
         accelerations = self._task.states.accelerations[index]

@@ -96,7 +96,7 @@ class FlightInProgress:
     Controllers receive only setpoints, including planned cable forces. Raises InputError for a
     density too small for the team's tension or an unstable position loop, ShapeError for cables too
     short for the first setpoints, and UnsupportedError without mujoco, or for several teams with
-    a lost drone.
+    a lost robot.
     """
 
     def __init__(self, task: Task, settings: Settings) -> None:
@@ -314,7 +314,8 @@ class FlightInProgress:
         if index != self._moment.index:
             self._moment = self._moment_at(index)
         if self._lost is not None and time >= self._lost.time:
-            is_loose = self._lose(self._lost, time)
+            self._lose(self._lost, time)
+            is_loose = True
             substeps = LOSS_SUBSTEPS if time < self._lost.time + LOSS_TIME else 1
         world.push(*self._fleet.advance(time, index, self._bodies, pull, offset))
         is_loose, load_shares = is_loose or self._moment.is_slack, self._moment.load_shares
@@ -331,18 +332,14 @@ class FlightInProgress:
         world.step(self._substeps, loose=is_loose, substeps=substeps)
         self._observe(time)
 
-    def _lose(self, lost: _Lost, time: float) -> bool:
-        """Stop the motors of a lost drone, or let go of a cable; return whether ropes whip.
+    def _lose(self, lost: _Lost, time: float) -> None:
+        """Let go of a cable.
 
         Others are as long as without the bends that vanish before a chain of them is taut.
         """
-        if lost.cable is None:
-            self._fleet.stop(lost.drone)
-            return False
         self._world.let_go(lost.cable)
         share = float(np.interp(time - lost.time, LOOSE_TIMES, (0.0, 1.0)))
         self._world.shorten(share * lost.bends)
-        return True
 
     def _observe(self, time: float) -> None:
         """Check and record the state after the step at a time [s]."""
@@ -438,8 +435,7 @@ def _planned_tests(task: Task, settings: Settings) -> list[PullTest]:
 class _Lost(NamedTuple):
     """A loss during a flight."""
 
-    drone: int  # The drone that is lost, or the first of a robot
-    cable: int | None  # The cable that is let go; None if the drone stays on it
+    cable: int  # The cable that is let go
     time: float  # [s]
     # (n,) [m], additional lengths of other cables for their bends about a cable that is let go
     bends: Array
@@ -451,13 +447,10 @@ def _lost(task: Task, settings: Settings) -> _Lost | None:
     if lost is None:
         return None
     if not {*lost.drones} <= {*names}:
-        listed = ", ".join(task.team.listed_names)
-        raise InputError(lost.key, lost.name, f"of the drones {listed}", "name one of them")
+        robots = ", ".join(map(str, task.team.labels))
+        raise InputError("cut", lost.name, f"one of {robots}", "name a robot")
     if lost.time >= end:
-        raise InputError(lost.key, lost.time, f"before the flight ends at {end:g} s", "lower it")
-    drone = names.index(lost.drones[0])
-    if not lost.cut:
-        return _Lost(drone, None, lost.time, np.zeros(task.team.robots))
-    preset, cable = settings.preset, drone // 2
+        raise InputError("cut", lost.time, f"before the flight ends at {end:g} s", "lower it")
+    preset, cable = settings.preset, names.index(lost.drones[0]) // 2
     bends = ropes.bends_about(task.teams[0], preset.diameter, preset.segment, cable)
-    return _Lost(drone, cable, lost.time, bends)
+    return _Lost(cable, lost.time, bends)

@@ -46,15 +46,13 @@ def fly_hitched(
     """Return a flight of a plan's hitches for each seed, none of which depends on the others.
 
     Raises UnsupportedError for several teams and objects that can move, and InputError for
-    a lost drone or a plan without a hitch.
+    a lost robot or a plan without a hitch.
     """
     part = task.of_one_team(Feature.CLASPS)
     if task.cargo.movable.any():
         raise unsupported(Feature.CLASPS, Neighbour.OBJECTS)
     if settings.lost is not None:
-        raise InputError(
-            settings.lost.key, settings.lost, f"omitted with cables={CLASPS}", "simulate ropes"
-        )
+        raise InputError("cut", settings.lost, f"omitted with cables={CLASPS}", "simulate ropes")
     spans = [*closed_spans(part)]
     if not spans:
         raise InputError("cables", CLASPS, "ropes for a plan without a hitch", "simulate ropes")

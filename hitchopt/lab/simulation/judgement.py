@@ -117,7 +117,7 @@ def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     """Return the errors at the samples of a flight, without the pull test.
 
     The first sample is excluded, since no contact forces precede it, and so are those after the
-    loss of a drone.
+    loss of a robot.
     """
     task, record = flight.task, flight.record
     taut, moves = list[NDArray[np.bool_]](), np.zeros(len(task.states.t), np.bool_)
@@ -150,8 +150,8 @@ def tension_ratios(flight: SimulatedFlight, rows: NDArray[np.int64]) -> Array:
 def tracking_verdict(flight: SimulatedFlight) -> str:
     """Return in words the largest errors of drones, and what the plan allows for; empty without.
 
-    Errors are distances from the planned positions, horizontal and vertical; a drone that is lost
-    has none.
+    Errors are distances from the planned positions, horizontal and vertical; drones that are
+    lost have none.
     """
     record, tube, task = flight.record, allowed_errors(flight), flight.task
     during = record.t <= task.duration + ROUNDING
@@ -257,8 +257,7 @@ def judge(flight: SimulatedFlight) -> Outcome:
     same applies where the plan stops for a pull test.
     Drones and cables must stay within what the plan was certified for (see ``departures``).
     Objects must be at their planned positions, and free unless the plan ends holding them. After
-    the loss of a drone only contacts of survivors are failures, except with a cable that was let
-    go.
+    the loss of a robot only contacts of survivors are failures, except with its cable.
     """
     lost, names = flight.settings.lost, set(flight.task.team.drone_names)
     failures = [
@@ -487,18 +486,17 @@ def _slipped(middles: Array, carried: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class LossOutcome(OneLine):
-    """Outcome for a team after a loss, of a drone or a robot, at a time [s]."""
+    """Outcome for a team after the loss of a robot at a time [s]."""
 
     lost: str
     time: float
     among: tuple[tuple[str, str], ...]  # contacts of two survivors
-    others: tuple[tuple[str, str], ...]  # contacts of survivors with cables or the lost drone
+    others: tuple[tuple[str, str], ...]  # contacts of survivors with cables or lost drones
     peak_tension: float  # largest tension of a cable since the loss [N]
     moved: float  # largest distance of a survivor from its setpoint since the loss [m]
     # largest distance of a survivor from where it was beside its setpoint at the loss [m]
     displaced: float
-    # what a cut displaces at most, ``loss_displacement`` [m]; nan for a lost drone
-    bound: float
+    bound: float  # what a cut displaces at most, ``loss_displacement`` [m]
     # mean height of what is lost above the ground at the end [m]; about 0 if it lies
     hangs: float
     linked: tuple[str, ...]  # names of clasps whose cables are linked at the end
@@ -512,7 +510,7 @@ class LossOutcome(OneLine):
 
 
 def loss_outcome(flight: SimulatedFlight) -> LossOutcome | None:
-    """Return the outcome for a flight's team after the loss of a drone; None without one."""
+    """Return the outcome for a flight's team after the loss of a robot; None without one."""
     record, team, loss = flight.record, flight.task.team, flight.settings.lost
     if loss is None:
         return None
@@ -533,7 +531,7 @@ def loss_outcome(flight: SimulatedFlight) -> LossOutcome | None:
         float(np.max(record.peak_tensions[after])),
         float(np.max(length(errors))),
         float(np.max(length(errors - errors[0]))),
-        float(np.max(displacements(team)[survivors])) if loss.cut else np.nan,
+        float(np.max(displacements(team)[survivors])),
         float(np.mean(end)) - ground_of(flight.task) - BODY_HALF_HEIGHT,
         tuple(team.point_names[point] for point in linked),
         _taut_after(flight, loss, survivors[::2]),

@@ -166,45 +166,33 @@ DRONES: Mapping[str, DroneKind] = {
 
 @dataclass(frozen=True)
 class Loss(OneLine):
-    """Loss by name at a time of the flight [s].
+    """Loss of a robot by name, such as ``2``, at a time of the flight [s].
 
-    The motors of a drone, such as ``q0``, stop; with ``cut``, both drones of a robot, such as
-    ``2``, let go of their cable.
+    Both of its drones let go of their cable.
     """
 
     name: str
     time: float
-    cut: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", nonnegative(self.key, self.time))
+        object.__setattr__(self, "time", nonnegative("cut", self.time))
 
     @classmethod
-    def parsed(cls, text: str, *, cut: bool = False) -> Loss:
-        """Return the loss of a text ``DRONE@SECONDS``, or ``ROBOT@SECONDS`` with ``cut``.
-
-        Raises InputError for other texts.
-        """
+    def parsed(cls, text: str) -> Loss:
+        """Return the loss of a text ``ROBOT@SECONDS``; raise InputError for other texts."""
         if match := re.fullmatch(r"([\w.-]+)@(\d+(?:\.\d*)?)", text):
-            return cls(match[1], float(match[2]), cut)
-        if cut:
-            raise InputError("cut", text, "ROBOT@SECONDS", "write 2@12.5")
-        raise InputError("lose", text, "DRONE@SECONDS", "write q0@12.5")
+            return cls(match[1], float(match[2]))
+        raise InputError("cut", text, "ROBOT@SECONDS", "write 2@12.5")
 
     @property
-    def key(self) -> str:
-        """The option that states it."""
-        return "cut" if self.cut else "lose"
-
-    @property
-    def drones(self) -> tuple[str, ...]:
+    def drones(self) -> tuple[str, str]:
         """Names of the drones that are lost."""
-        return (f"q{self.name}", f"r{self.name}") if self.cut else (self.name,)
+        return f"q{self.name}", f"r{self.name}"
 
     @property
     def cable(self) -> str:
-        """Name of the cable that is let go; empty for a drone."""
-        return f"cable {self.name}" if self.cut else ""
+        """Name of the cable that is let go."""
+        return f"cable {self.name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +200,7 @@ class Settings(Record):
     """Settings of one simulated flight; None is what the plan states.
 
     Attributes without a key are ``preset``, the resolution of the ropes; ``perturbations``; and
-    ``lost``, the loss of a drone or robot, if any.
+    ``lost``, the loss of a robot, if any.
     """
 
     preset: Preset = FAST

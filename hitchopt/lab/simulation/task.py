@@ -338,14 +338,6 @@ class TeamTask:
         index = int(np.searchsorted(t, t[0] + elapsed + TIME_TOLERANCE, side="right")) - 1
         return min(max(index, 0), len(t) - 1)
 
-    def released(self, motion: Motion, start: float, duration: float) -> TeamTask:
-        """Return the task of a motion whose cable forces vanish smoothly in a ``duration`` [s]."""
-        new = TeamTask.of(motion).states
-        share = np.clip((new.t - start) / duration, 0.0, 1.0)[:, None, None]
-        forces = new.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
-        states = replace(new, t=self.states.t[0] + new.t, cable_forces=forces)
-        return TeamTask(self.team, states)
-
 
 class Span(NamedTuple):
     """Samples of a plan in which a hitch is closed, from the first to the last one."""
