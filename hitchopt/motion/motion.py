@@ -94,7 +94,8 @@ class Phase(OneLine):
 
     Attributes
     ----------
-    name: a label without effect, such as ``morph`` or ``hold``.
+    name: a label, such as ``morph`` or ``hold``. Nothing moves in a phase named WAIT, and vertices
+        are where they were after one named SETTLE, which follows a slide.
     step: index of its step in the mission.
     start, end: [s]
     remark: how the motion deviates from the request, and why, in words; usually empty.

@@ -346,8 +346,7 @@ def _check_teams(teams: Sequence[TeamMotion]) -> None:
         if abs(end - duration) > JOINT:
             bound = f"up to {duration:g} s, as for all teams"
             raise InputError(f"{flown.name}.breaks", end, bound, REMEDY)
-        if len(teams) > 1:
-            _check_waits(flown)
+        _check_waits(flown)
 
 
 def _check_waits(flown: TeamMotion) -> None:
@@ -360,7 +359,7 @@ def _check_waits(flown: TeamMotion) -> None:
         for name in CURVES:
             curve = getattr(motion, name).coefficients[pieces]
             if np.max(np.ptp(curve, axis=(0, -1)), initial=0.0) > REST_DRIFT:
-                key = f"{flown.name}.phases[{index}].name"
+                key = flown.label(f"phases[{index}].name")
                 raise InputError(key, WAIT, "of a phase of rest", REMEDY)
 
 

@@ -102,6 +102,7 @@ class Plan:
     # Of the request
     only: Set[str] = frozenset()  # names of the rows to prove; empty for all
     request: dict[str, Any] = {}  # noqa: RUF012  # the problem of this team alone
+    may_wait = False  # whether other teams or plans fly, for which it waits before and after steps
     stated: Sequence[dict[str, Any]] = ()  # rules of the user, whose formulas are not in the file
 
     # Settings

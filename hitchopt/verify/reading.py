@@ -82,7 +82,8 @@ def plans_of_teams(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]
         raise ValueError("teams have different durations")
     if any(p.breaks[0] != 0.0 for p in own):
         raise ValueError("breaks do not start at 0")
-    for p in own if len(own) > 1 else ():
+    for p in own:
+        p.may_wait = len(plans) > 1
         curves = p.points, p.poses, p.legs, p.pulls, p.tensions, p.load_share
         for i in (i for i, phase in enumerate(p.phases) if phase["name"] == "wait"):
             if any(varies(x.c[0][p.phase == i], REST_TOL) for x in curves):

@@ -115,7 +115,7 @@ def by_direction(tracking: Any) -> Any:
 def start_faults(p: Plan) -> Iterator[Fault]:
     """Yield keys of the start where the plan begins elsewhere."""
     time, start = float(p.breaks[0]), p.request["start"]
-    s = Step(p, np.array([0]), p.phases[:1], vertices_at(p, 0, 0), continues=False)
+    s = Step(p, np.array([0]), p.phases[:1], vertices_at(p, 0, 0), continues=False, first=0)
     hitch, drones = (start.get(x) if isinstance(start, dict) else None for x in ("hitch", "drones"))
     if hitch:
         stated = hitch
@@ -140,22 +140,36 @@ def step_faults(p: Plan) -> Iterator[Fault]:
     words = f"mission has {len(mission)} steps, and the plan {len(phases_by_step)}"
     yield float(p.breaks[0]), len(phases_by_step) != len(mission), words
     goals: Array | None = None  # of a step that goes on without a stop
+    first = 0  # piece at which the steps begin that go on without a stop up to the next one
     for i, (phases, stated) in enumerate(zip(phases_by_step, mission, strict=False)):
         ((name, stated_keys),) = stated.items()
         keys = stated_keys or {}
-        step = step_of(p, phases, goals)
+        step = step_of(p, phases, goals, first)
         goals = goals_after(step, keys) if keys.get("blend") else None
+        first = step.first if keys.get("blend") else int(step.pieces[-1]) + 1
         end, path = float(phases[-1]["end"]), f"mission[{i}].{name}"
         yield end, wider_tensions(step, keys), f"{path}.tension is not as requested"
+        settling = [x for x in step.phases if x["name"] == "settle" != name]
+        hidden = len(settling) > len(step.swings)
+        yield end, hidden, f"{path} has a phase settle that is no over-travel after a slide"
         for key, off in differences(step, name, keys):
             yield end, not off <= CLOSE, f"{path}.{key} is not as requested"
 
 
-def step_of(p: Plan, phases: list[dict[str, Any]], goals: Array | None) -> Step:
-    """Return a step with its phases, and the goals of the one before it if that does not stop."""
+def step_of(p: Plan, phases: list[dict[str, Any]], goals: Array | None, first: int) -> Step:
+    """Return a step with its phases, the goals of the one before it if that does not stop.
+
+    The steps that go on without a stop up to it begin at the ``first`` piece.
+    """
     start, end = float(phases[0]["start"]), float(phases[-1]["end"])
     within = (p.breaks[:-1] >= start - POS_TOL) & (p.breaks[1:] <= end + POS_TOL)
     pieces = np.flatnonzero(within)
-    moving = [x for x in phases if x["name"] != "wait"] or phases
+    moving = without_waits(phases) if p.may_wait else phases
     before = vertices_at(p, pieces[0], 0) if goals is None else goals
-    return Step(p, pieces, moving, before, continues=goals is not None)
+    return Step(p, pieces, moving, before, continues=goals is not None, first=first)
+
+
+def without_waits(phases: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the phases of a step from the first to the last one that does not wait, if any."""
+    moving = [i for i, x in enumerate(phases) if x["name"] != "wait"]
+    return phases[moving[0] : moving[-1] + 1] if moving else phases

@@ -14,6 +14,7 @@ from .plan import CLASPING, TAUT_TOL, Plan
 from .spans import Spans
 
 CLOSE = 1e-6  # [m], [s] largest difference of what is asked for and shown, relative above 1
+SLIDE = 9.99e-4  # [m] least change of legs after which vertices may over-travel
 PATH_TOL = 1e-3  # [m] largest distance of a path from a point that it passes, between samples
 SAMPLES = np.linspace(0.0, 1.0, 41)  # shares of a piece, where points of paths are looked for
 
@@ -22,7 +23,7 @@ Shows = Callable[["Step", Any, Mapping[str, Any]], Shown]
 
 
 class Step(NamedTuple):
-    """One step of a plan: its pieces and its phases without those that wait."""
+    """One step of a plan: its pieces and its phases without waits at its start and end."""
 
     p: Plan
     pieces: Items
@@ -30,6 +31,7 @@ class Step(NamedTuple):
     #: Vertices (P, 3) that it starts from: the goals of a step that goes on without a stop
     before: Array
     continues: bool  #: Whether the step before it goes on without a stop
+    first: int  #: Piece at which the steps begin that go on without a stop up to this one
 
     def points(self, end: int, of: slice) -> Array:
         """Return points (k, 3) at the step's start (0) or end (-1)."""
@@ -75,16 +77,31 @@ class Step(NamedTuple):
 
     @property
     def swings(self) -> list[dict[str, Any]]:
-        """Phases in which clasps settle: drones swing, or vertices return to where they rest."""
-        p = self.p
+        """Phases named settle at its end in which vertices over-travel, after cables slid."""
         found = list[dict[str, Any]]()
-        for phase in self.phases:
-            on = (p.breaks[:-1] > phase["start"] - CLOSE) & (p.breaks[1:] < phase["end"] + CLOSE)
-            vertices = p.points.c[0][on][:, p.V]
-            moved = vertices[-1, ..., -1] - vertices[0, ..., 0] if np.any(on) else np.inf
-            if phase["name"] == "settle" and np.all(np.abs(moved) <= CLOSE):
-                found.append(phase)
+        for phase in reversed(self.phases):
+            if phase["name"] != "settle" or not self.over_travels(phase):
+                break
+            found.append(phase)
         return found
+
+    def over_travels(self, phase: Mapping[str, Any]) -> bool:
+        """Return whether a phase ends where it starts, after cables slid against friction."""
+        p = self.p
+        within = (p.breaks[:-1] > phase["start"] - CLOSE) & (p.breaks[1:] < phase["end"] + CLOSE)
+        pieces = np.flatnonzero(within)
+        if not p.mu or not len(pieces):
+            return False
+        places = p.points.c[0][pieces][:, : p.V.stop]
+        returns = np.all(np.abs(places[-1, ..., -1] - places[0, ..., 0]) <= CLOSE)
+        return bool(returns) and self.slid(int(pieces[0]))
+
+    def slid(self, end: int) -> bool:
+        """Return whether cables slid, or were tied, since the last stop, up to a piece."""
+        before = slice(self.first, end)
+        legs = self.p.legs.c[0][before]
+        slide = np.max(np.ptp(legs, axis=(0, -1)), initial=0.0) if len(legs) else 0.0
+        return bool(slide > SLIDE or not np.all(self.p.taut[before]))
 
     @property
     def seconds(self) -> float:
@@ -293,9 +310,12 @@ def rolls(s: Step, end: int) -> Array:
     return np.asarray(np.arctan2(rise, np.sum(leg * level, 1)))
 
 
-def settled(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return the error [s] of the duration of swings, if drones swing."""
-    return duration_of(s.swings) - float(value) if s.swings else 0.0
+def settled(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return the error [s] of the duration of over-travels, if there are any, or cables slid."""
+    last = s.swings[-1]["start"] if s.swings else math.inf
+    end = int(np.sum(s.p.breaks[s.pieces] < last - CLOSE)) + int(s.pieces[0])
+    is_due = value is not False and not step.get("blend") and s.p.mu and s.slid(end)
+    return duration_of(s.swings) - float(value) if s.swings or is_due else 0.0
 
 
 SENSES = {"up": 1, "down": -1, "auto": 0}

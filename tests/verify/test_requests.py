@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -18,8 +19,10 @@ from hitchopt import verify as second
 from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.mission.loading import problem_from_dict
+from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.request import check_request
+from hitchopt.motion.retiming import cut, resting
 from hitchopt.steps import STEP_KINDS, STEPS, Step
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values.fields import keys_of
@@ -329,6 +332,79 @@ mission: [{{hold: {{seconds: 1.0}}}}]
 @pytest.mark.parametrize("name", [BOX, "two_teams", "carry_tray"])
 def test_long_plans_show_what_was_asked_for(name: str, tmp_path: Path) -> None:
     assert found(name, (), None, tmp_path) == []
+
+
+EXCURSION = """
+team: {robots: 3, cable_length: [2.4, 2.3, 2.4], tension: 0.5, cable_friction: FRICTION}
+start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0, legs: [0.3, 0.3, 0.3]}}
+mission:
+  - FIRST
+  - transport: {to: [-0.03, 0, 1.0]}
+  - transport: {to: [0, 0, 1.0]}
+"""
+STILL = "adjust: {legs: [0.3, 0.3, 0.3], duration: 1, settle: false}"
+SLIDE = "adjust: {legs: [0.35, 0.3, 0.3], settle: false}"
+
+
+@pytest.mark.parametrize(
+    ("first", "friction", "name", "ends", "is_believed"),
+    [
+        (STILL, 0.1, "adjust", 3, False),
+        (STILL, 0.1, "settle", 3, False),
+        (SLIDE, 0.1, "settle", 3, True),
+        (SLIDE, 0.0, "settle", 3, False),
+        (SLIDE, 0.1, "settle", 2, False),
+        (SLIDE, 0.1, "Settle", 3, False),
+    ],
+)
+def test_only_returns_after_a_slide_are_over_travels(
+    first: str, friction: float, name: str, ends: int, is_believed: bool, tmp_path: Path
+) -> None:
+    """A step lasts as long as all other motion at its end, whatever its phases are called."""
+    text = EXCURSION.replace("FRICTION", str(friction)).replace("FIRST", first)
+    data: Any = parse_yaml(text)
+    whole = planned_of(data).motion
+    motion = cut(whole, 0, int(np.flatnonzero(whole.phase_of_piece == ends - 1)[-1]) + 1)
+    adjust = motion.phases[0]
+    excursion = replace(adjust, name=name, start=adjust.end, end=motion.duration)
+    moved = motion.replaced(phases=(adjust, excursion))
+    asked = data["mission"][0]["adjust"] | {"duration": adjust.end, "settle": "auto"}
+    data["mission"] = [{"adjust": asked}]
+    assert believed(moved, data, tmp_path) is is_believed
+
+
+def believed(motion: Motion, data: Any, folder: Path) -> bool:
+    """Return whether a motion is read by both readers as what a problem asks for."""
+    write_plan(folder / "plan.npz", ho.Flight.of(motion), "", json.dumps(data))
+    try:
+        (plan,), _ = second.read(folder / "plan.npz")
+    except second.UnreadableError:
+        plan = None
+    believes = plan is not None and all(row.verdict == "proven" for row in second.requested(plan))
+    try:
+        ho.load(folder)
+    except FileError:
+        assert not believes
+        return False
+    assert believes
+    return True
+
+
+def test_a_wait_stands_still_and_one_team_waits_for_nobody(tmp_path: Path) -> None:
+    data: Any = parse_yaml(MOVED)
+    motion = flight_of("moved").teams[0].motion
+    morph, *others = motion.phases
+    times = motion.drones.breaks
+    middle = float(times[np.argmin(np.abs(times - 1.5))])
+    data["mission"][0]["morph"]["duration"] = middle
+    halves = [morph.retimed(0.0, middle), replace(morph, name="wait", start=middle)]
+    assert not believed(motion.replaced(phases=(*halves, *others)), data, tmp_path)
+    data: Any = parse_yaml(MOVED)
+    end = int(np.argmin(np.abs(times - morph.end)))
+    flown, rest = cut(motion, 0, end), cut(motion, end, motion.drones.pieces)
+    wait = resting(flown, 1.0, replace(morph, name="wait"))
+    assert believed(concatenated([flown, rest]), data, tmp_path)
+    assert not believed(concatenated([flown, wait, rest]), data, tmp_path)
 
 
 def test_legs_of_cables_that_sag_are_those_asked_for(tmp_path: Path) -> None:
