@@ -33,6 +33,7 @@ TIE = 1e-9  # relative difference of utilization up to which checks tie
 # Largest margin of a check that binds: planners keep margins, and the search for the worst value
 # adds its own
 BINDING = 0.02
+NOTHING = "nothing to check"  # Place of checks for which nothing was evaluated
 DIGITS = 4  # Number of significant digits of values in a table row
 MAX_NAMES = 2  # Maximum number of names in a table row
 
@@ -112,7 +113,7 @@ class Check(OneLine):
         largest = sys.float_info.max
         if limit is not None:
             limit = float(limit)
-        if worst == _empty_value(sense):
+        if worst == empty_value(sense):
             metadata |= {"gamma": gamma}
             return cls(name, True, float(worst), limit, sense, unit, float(time), (), **metadata)
         outward = -largest if sense == "min" else largest
@@ -137,11 +138,12 @@ class Check(OneLine):
         """The row of a table by its columns' headings.
 
         A worst value within TOLERANCE of 0 is shown as 0, and one that violates its limit with the
-        digits that distinguish it. Without a limit, its column shows the assumed gamma.
+        digits that distinguish it. Without a limit, its column shows the assumed gamma. Where
+        nothing was evaluated, the place says so.
         """
         further = len(self.where) - MAX_NAMES
         is_timed = self.is_evaluated and math.isfinite(self.time)
-        names = ", ".join(self.where[:MAX_NAMES])
+        names = ", ".join(self.where[:MAX_NAMES]) if self.is_evaluated else NOTHING
         return {
             "check": self.title,
             "worst": self._worst_in_words,
@@ -207,7 +209,7 @@ class Check(OneLine):
         return out * (self.worst - self.limit) / (abs(self.limit) or 1.0)
 
 
-def _empty_value(sense: str) -> float:
+def empty_value(sense: str) -> float:
     """Return the extremum of an empty set."""
     return math.inf if sense == "min" else -math.inf
 

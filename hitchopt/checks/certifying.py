@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
@@ -81,8 +81,7 @@ def certify(
     progress: called with the name of every check at its start, and the number of finished ones.
         With it, reports are evaluated immediately, otherwise when they are first read.
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
-    reports: reports of the certificate, in addition to those with a limit. Pass PART_REPORTS if
-        ``merged`` computes the others.
+    reports: reports of the certificate, in addition to those with a limit.
     rules: custom limits, which are checked in addition. Those that a plan states with another
         name, unit, sense or limit are listed as not recomputed; one whose stated worst value
         breaks its limit is violated.
@@ -112,6 +111,15 @@ def certify(
     return certificate
 
 
+def certify_part(motion: Motion) -> Certificate:
+    """Return the certificate of a part of a plan, for ``merged``.
+
+    It lacks the limit of duration, and what depends on what flies before and after the part.
+    """
+    flight = Flight.of(motion.untimed)
+    return FlightChecks(flight, GAMMA, PART_REPORTS, None, is_part=True).certificate
+
+
 @dataclass(frozen=True, eq=False)
 class FlightChecks:
     """The checks of a flight, of every team and between teams, each evaluated once."""
@@ -120,19 +128,26 @@ class FlightChecks:
     gamma: float  # Ratio of vertex errors to drone errors
     requested: Sequence[Report]  # Reports, in addition to those with a limit
     progress: Callable[[str], None] | None  # Called with the name of every check at its start
+    is_part: bool = False  # Whether the flight is a part of a plan, as in ``certify_part``
 
     @property
     def certificate(self) -> Certificate:
         """The certificate; requested reports are evaluated when they are first read."""
         checks = [*map(self._checked, RULES), *map(self._reported, self._limited_reports)]
         unlimited = self._unlimited_reports
-        return _stored(self.flight, checks, lambda: map(self._reported, unlimited), self.gamma)
+
+        def reports() -> Iterator[Check | None]:
+            return map(self._reported, unlimited)
+
+        store = self.gamma == GAMMA and not self.is_part
+        return _certificate(self.flight, checks, reports, store=store)
 
     @cached_property
     def _limited_reports(self) -> list[ReportRule]:
         """Reports with a limit in this flight."""
         requirements = self.flight.requirements
-        return [report for report in TEAM_REPORTS if report.limit(requirements) is not None]
+        possible = (report for report in TEAM_REPORTS if not (self.is_part and report.of_whole))
+        return [report for report in possible if report.limit(requirements) is not None]
 
     @property
     def _unlimited_reports(self) -> list[Report]:
@@ -305,21 +320,19 @@ def certificate_of(flight: Flight, progress: Callable[[str], None] | None = None
     return known or certify(flight, progress, reports=())
 
 
-def _stored(
+def _certificate(
     flight: Flight,
-    checks: Sequence[Check | None],
+    checks: Iterable[Check | None],
     reports: Callable[[], Iterable[Check | None]],
-    gamma: float = GAMMA,
+    *,
+    store: bool = True,
 ) -> Certificate:
-    """Return the certificate, which is stored without reports: these refer to the flight.
-
-    One with another ``gamma`` than the default is not stored: its limit of tracking errors differs.
-    """
+    """Return the certificate; it is stored without reports, which refer to the flight."""
     limited = tuple(filter(None, checks))
-    stored = Certificate(flight.duration, limited, flight_digest=flight_digest(flight))
-    if gamma == GAMMA:
-        _CERTIFICATES[flight.alone or flight] = stored
-    return replace(stored, reports=lambda: filter(None, reports()))
+    certificate = Certificate(flight.duration, limited, flight_digest=flight_digest(flight))
+    if store:
+        _CERTIFICATES[flight.alone or flight] = certificate
+    return replace(certificate, reports=lambda: filter(None, reports()))
 
 
 def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
@@ -372,7 +385,7 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
                 checks.append(worst_of(result.check for result in results[rule]))
         checks += map(reported, limited)
     others = [report for report in REPORTS if report not in limited]
-    return _stored(flight, checks, lambda: map(reported, others))
+    return _certificate(flight, checks, lambda: map(reported, others))
 
 
 def _by_name(

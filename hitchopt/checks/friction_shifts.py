@@ -10,9 +10,9 @@ to where it stops them; with less of it they are ahead of their plan, or go fart
   is the distance that vertices keep from walls and floor, and cables from objects beyond
   ``separation.object``. Where legs lean the limit is ``limits.tracking``, for which distances
   within the team allow. Other phases have none: in them, friction holds vertices back.
-- ``rest_shift`` is how far vertices are from the plan while it rests, as over-travels left them. It
-  depends on their turning points alone, not on speeds. ``limits.rest_shift`` and ``vertex_error``
-  limit it.
+- ``rest_shift`` is how far vertices are from the plan at rests of any duration, of which the end of
+  a plan is one. It depends on their turning points alone, not on speeds. ``limits.rest_shift`` and
+  ``vertex_error`` limit it.
 
 Both add a quarter of the largest difference to the neighbours among samples and frictions. The
 vertex of a parabola through three values is beyond the middle one by an eighth of it at most.
@@ -21,7 +21,7 @@ vertex of a parabola through three values is beyond the middle one by an eighth 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -49,11 +49,10 @@ FRICTIONS = 9  # Number of frictions of the range, from the least to the largest
 MIN_SLIDE = 1e-3  # [m] Change of leg lengths below which a phase has no slides
 
 AT_REST = 1e-6
-"""Largest speed of vertices where they turn [m/s], and change of drones [m] and tensions [N] at
-rest."""
+"""Largest speed of vertices where they turn and of drones at rest [m/s], and largest rate of
+tensions at rest [N/s]."""
 
 MAX_RETURN = 1e-4  # [m] Largest distance of a vertex after over-travels from its place before
-REST_TIME = 0.5  # [s] Shortest rest at which the distance from the plan counts
 SETTLED = 0.05
 """[m] Largest distance from the plan at which vertices count as settled, unless a problem limits
 it. Vertices of simulated triangles rest within 2.4 cm."""
@@ -118,14 +117,15 @@ def _held_on(course: Course) -> Array:
     return np.where(np.isfinite(vertices), vertices, np.inf)
 
 
-def sample_times(motion: Motion, first: int, last: int) -> Array:
+def sample_times(motion: Motion, first: int, last: int, ends: Sequence[float] = ()) -> Array:
     """Return times (S,) [s] since the start of a motion, on the pieces from first to last.
 
     They include all times at which vertices rest, and more where these move far or legs lean.
+    ``ends`` are further breaks that they include.
     """
     breaks = motion.drones.breaks[first : last + 1]
     speeds = length(motion.vertices.at(breaks, 1))
-    rests = breaks[np.max(speeds, axis=-1, initial=0.0) <= AT_REST]
+    rests = breaks[(np.max(speeds, axis=-1, initial=0.0) <= AT_REST) | np.isin(breaks, ends)]
     stops = np.unique(np.concatenate([breaks[:1], rests, breaks[-1:]]))
     times = [stops[:1]]
     for start, end in pairwise(stops.tolist()):
@@ -256,29 +256,37 @@ def _largest_rest_shift(motion: Motion, _results: SpanResults, _gamma: float) ->
 def _rest_shifts(motion: Motion) -> Iterator[WorstCase]:
     """Yield the largest distance from the plan [m] at every rest of a hitch that holds nothing.
 
-    These are rests of at least REST_TIME: others precede over-travels.
-    Before its first slide, a hitch at the start is as planned. One that was tied, or held an
-    object, has any friction.
+    The end of the motion is one. Before its first slide, a hitch at the start is as planned. One
+    that was tied, or held an object, has any friction.
     """
     frictions = frictions_of(motion)
     breaks = motion.drones.breaks
-    moves = np.ptp(motion.drones.coefficients, axis=-1)
-    changes = np.ptp(motion.tensions.coefficients, axis=-1)
-    still = (np.max(moves, axis=(1, 2)) <= AT_REST) & (np.max(changes, axis=1) <= AT_REST)
+    at_rest = _rests(motion)
     for first, last in true_runs(_is_free(motion)):
-        runs = first + np.array(true_runs(still[first:last]), dtype=np.intp).reshape(-1, 2)
-        lasting = breaks[runs[:, 1]] - breaks[runs[:, 0]] >= REST_TIME
-        ends = breaks[runs[lasting, 1]] - breaks[0]
+        runs = first + np.array(true_runs(at_rest[first:last]), dtype=np.intp).reshape(-1, 2)
+        ends = breaks[runs[:, 1]].tolist()
+        if last == motion.drones.pieces:
+            ends.append(float(breaks[-1]))
+        if not ends:
+            continue
         shares = np.array([0.0] if first == 0 else [-1.0, 1.0])
-        t = sample_times(motion, first, last)
+        t = sample_times(motion, first, last, ends)
         found = held(motion, t, np.tile(frictions, len(shares)), np.repeat(shares, len(frictions)))
         offsets = length(found.vertices - found.planned[:, None])
         offsets = offsets.reshape(len(t), len(shares), len(frictions), -1)
-        for sample in np.flatnonzero(np.isin(t, ends)).tolist():
+        for sample in np.flatnonzero(np.isin(t, np.subtract(ends, breaks[0]))).tolist():
             shifts = between(offsets[sample], (1,))
             vertex = int(np.unravel_index(int(np.argmax(shifts)), shifts.shape)[-1])
             time = float(breaks[0] + t[sample])
             yield WorstCase(float(np.max(shifts)), time, (motion.team.point_names[vertex],))
+
+
+def _rests(motion: Motion) -> Flags:
+    """Return the pieces (pieces,) on which drones and tensions are at rest."""
+    durations = motion.drones.durations
+    moves = np.max(np.ptp(motion.drones.coefficients, axis=-1), axis=(1, 2))
+    changes = np.max(np.ptp(motion.tensions.coefficients, axis=-1), axis=1)
+    return np.asarray(np.maximum(moves, changes) <= AT_REST * durations)
 
 
 def _limit(requirements: Requirements) -> float | None:
@@ -318,6 +326,7 @@ REST_SHIFT = ReportRule(
     "(cable_friction)",
     free_remedy="",
     assumes_gamma=False,
+    of_whole=True,
     applies=_has_friction,
     group="distances",
     key="limits.rest_shift",

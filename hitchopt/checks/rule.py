@@ -9,7 +9,14 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from hitchopt.checks.certificate import CONTINUOUS, OTHER, Check, with_tolerance, worst_of
+from hitchopt.checks.certificate import (
+    CONTINUOUS,
+    OTHER,
+    Check,
+    empty_value,
+    with_tolerance,
+    worst_of,
+)
 from hitchopt.checks.spans import MotionSpans, runs_of
 from hitchopt.hitch.pairs import Bodies
 from hitchopt.hitch.requirements import Requirements
@@ -276,19 +283,25 @@ class ReportRule(Quantity):
     remedy: str
     free_remedy: str
     assumes_gamma: bool = True
+    of_whole: bool = False  # Whether it depends on what flies before and after a part of a plan
 
     # Whether there is anything to evaluate in a motion
     applies: Callable[[Motion], bool] = lambda _motion: True
 
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check | None:
-        """Return the value of one team as a check, which holds without a limit, or None."""
+        """Return the value of one team as a check, which holds without a limit.
+
+        Without anything to evaluate, it is empty if there is a limit, and None otherwise.
+        """
         with np.errstate(all="ignore"):
             worst_case = self.evaluate(motion, results, gamma)
-        if worst_case is None:
-            return None
-        assumed = gamma if self.assumes_gamma else None
         limit = self.limit(motion.requirements)
-        return worst_case.check(self, None if limit == math.inf else limit, assumed)
+        limit = None if limit == math.inf else limit
+        if worst_case is None:
+            if limit is None:
+                return None
+            worst_case = WorstCase(empty_value(self.sense), 0.0)
+        return worst_case.check(self, limit, gamma if self.assumes_gamma else None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,9 +55,9 @@ def cut_into_parts(task: ExportTask, fits: Fits) -> Sequence[ExportTask]:
     rests = flight.breaks[flight.rest_breaks].tolist()
     while len(cuts := _cuts(task, flight, rests, fits)) > 2:
         parts = _parts(task, cuts)
-        if not task.rests_longer or certificate_of(_flown(parts)).certified:
+        if not _rests_matter(task) or certificate_of(_flown(parts)).certified:
             return parts
-        uncertified = [cut for cut in cuts[1:-1] if not _may_rest(flight, cut)]
+        uncertified = [cut for cut in cuts[1:-1] if not _may_rest(task, cut)]
         if not uncertified:
             break
         rests = [rest for rest in rests if rest not in uncertified]
@@ -147,13 +147,31 @@ def _parts(task: ExportTask, cuts: Sequence[float]) -> list[ExportTask]:
     return parts
 
 
+def _rests_matter(task: ExportTask) -> bool:
+    """Return whether rests at the ends of parts may break a limit that the plan keeps.
+
+    Parts last longer, or friction may hold a vertex farther off than a limit of rests.
+    """
+    teams = task.flight.teams
+    limits = [each.motion.requirements.limits.held_at_rest for each in teams]
+    return task.rests_longer or any(limit is not None for limit in limits)
+
+
 def _flown(parts: Sequence[ExportTask]) -> Flight:
-    """Return the plan as its parts fly it, with the rests that are added."""
-    return reduce(Flight.followed_by, (part.plan.prolonged(part.rest) for part in parts))
+    """Return the plan as its parts fly it, with a rest after each of them.
+
+    The time of uploads counts toward no limit of duration.
+    """
+    rested = [
+        part.plan.prolonged(part.rest) if part.rest else part.plan.untimed.prolonged(REST_TIME)
+        for part in parts
+    ]
+    return reduce(Flight.followed_by, rested)
 
 
-def _may_rest(flight: Flight, time: float) -> bool:
+def _may_rest(task: ExportTask, time: float) -> bool:
     """Return whether a plan is certified with a longer rest at a time [s]."""
-    first, last = flight.breaks[[0, -1]].tolist()
-    before = flight.between(first, time).prolonged(REST_TIME)
-    return certificate_of(before.followed_by(flight.between(time, last))).certified
+    plan = task.plan if task.rests_longer else task.plan.untimed
+    first, last = plan.breaks[[0, -1]].tolist()
+    before = plan.between(first, time).prolonged(REST_TIME)
+    return certificate_of(before.followed_by(plan.between(time, last))).certified

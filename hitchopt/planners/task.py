@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.registry import PART_REPORTS
+from hitchopt.checks.certifying import certify_part
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import Progress, RequestError, StepPlace
@@ -67,8 +67,8 @@ class StepPlan:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """Certificate of the motion alone, without the plan's limit of duration."""
-        return certify(self.motion.untimed, reports=PART_REPORTS)
+        """Certificate of the motion as a part of a plan."""
+        return certify_part(self.motion)
 
     def replaced(self, motion: Motion, after: RestState) -> StepPlan:
         """Return the plan with another motion and state; the same motion keeps its certificate."""

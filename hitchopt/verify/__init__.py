@@ -32,4 +32,5 @@ from .plan import Plan as Plan
 from .reading import UnreadableError as UnreadableError
 from .reading import read as read
 from .request import requested as requested
+from .spans import NOTHING as NOTHING
 from .spans import Row as Row

@@ -20,7 +20,7 @@ from .plan import TAUT_TOL, Plan
 from .reading import UnreadableError, read
 from .request import requested
 from .slides import friction_shifts, rest_shifts
-from .spans import MIN_TENSION, SAMPLED, Row, Spans, prove, worst_row
+from .spans import MIN_TENSION, NOTHING, SAMPLED, Row, Spans, prove, worst_row
 from .statics import vertex_errors
 from .teams import Pair, arc_distances, between_plans, object_distances
 from .tying import free_cables
@@ -30,8 +30,8 @@ JUMP = 0.01  # [m] largest jump of curves that are a plan
 ROUNDING_ERROR = 1e-9  # largest value that is written as 0
 STATED = "not recomputed"  # rules of the user, whose formulas are not in the file
 NO_LIMIT = "no limit"  # height above z = 0, which is only the ground if there is an arena
-PASSING = {"proven", SAMPLED, NO_LIMIT, STATED}  # verdicts that do not fail
-ORDER = "violated", "not proven", SAMPLED, "proven"  # of verdicts, the worst first
+PASSING = {"proven", SAMPLED, NO_LIMIT, NOTHING, STATED}  # verdicts that do not fail
+ORDER = "violated", "not proven", SAMPLED, "proven", NOTHING  # of verdicts, the worst first
 # Rows that tracking errors of drones change
 DISTANCES = "separation", "cable_clearance", "crossing", "object_clearance", "keep_out", "downwash"
 ERRING = frozenset({*DISTANCES, "arena", "ground", "legs", "span"})
@@ -158,10 +158,13 @@ def between_teams(
 
 
 def worst_rows(rows: Sequence[Row]) -> Iterator[Row]:
-    """Yield the worst row of every quantity; limits of teams and drones may differ."""
-    proven = [row for row in rows if row.samples]
-    for quantity in dict.fromkeys((row.name, row.unit) for row in proven):
-        same = [row for row in proven if (row.name, row.unit) == quantity]
+    """Yield the worst row of every quantity; limits of teams and drones may differ.
+
+    There is none for quantities of bodies and states that the plan does not have.
+    """
+    rows = [row for row in rows if row.samples or row.verdict == NOTHING]
+    for quantity in dict.fromkeys((row.name, row.unit) for row in rows):
+        same = [row for row in rows if (row.name, row.unit) == quantity]
         worst = min(same, key=lambda row: (ORDER.index(row.verdict), -row.excess))
         yield worst._replace(samples=sum(row.samples for row in same))
 
@@ -200,6 +203,8 @@ def verdict(rows: Sequence[Row]) -> str:
         rest += "; not proven: heights above z = 0, which are limited only by an arena"
     if sampled := ", ".join(row.name for row in rows if row.verdict == SAMPLED):
         rest += f"; only at samples: {sampled}"
+    if nothing := ", ".join(row.name for row in rows if row.verdict == NOTHING):
+        rest += f"; {NOTHING}: {nothing}"
     if bad:
         return f"not proven: {', '.join(bad)}{rest}"
     return f"proven: every limit holds at all times{rest}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import copy
 
 import numpy as np
@@ -26,9 +26,8 @@ NUDGE = 1e-7  # [m] step of differences of bends
 ROUNDS = 3  # of slips and balances
 SWEEPS = 400  # steps of gradients
 CONVERGED = 1e-7  # change of parts in the last one
-STILL = 1e-6  # [m] motion of drones at rest
+STILL = 1e-6  # [m/s], [N/s] largest rate of drones and tensions at rest
 RETURN = 1e-4  # [m] from its place before over-travels to that of a vertex after them
-REST_TIME = 0.5  # [s] shortest rest that counts
 
 
 class Slider:
@@ -140,14 +139,15 @@ class Slider:
         self.parts = old.reshape(-1, 2)
 
 
-def samples_of(p: Plan, pieces: Items) -> Items:
+def samples_of(p: Plan, pieces: Items, ends: Sequence[int] = ()) -> Items:
     """Return (samples, 2): pieces and the end at which they are sampled, 0 or -1, in order.
 
-    They include all rests of vertices; beyond the first start, samples are ends.
+    They include all rests of vertices, and the ends of some pieces; beyond the first start, samples
+    are ends.
     """
     c = p.points.c[0]
     speed = np.max(norm(p.points.c[1][pieces][:, p.V, :, -1]), axis=1)
-    rests = np.flatnonzero(speed <= AT_REST)
+    rests = np.flatnonzero((speed <= AT_REST) | np.isin(pieces, ends))
     leans = np.abs(p.pulls.c[0] - np.repeat(p.tensions.c[0], 2, axis=1))[pieces, :, 0]
     chosen = [-1]
     for last in sorted({*rests.tolist(), len(pieces) - 1}):
@@ -257,26 +257,30 @@ def rest_shifts(p: Plan) -> Iterator[Row]:
     """Yield how far friction of its range holds vertices from their plan at rest, if limited."""
     stated = [p.limits.get(key) for key in ("rest_shift", "vertex_error")]
     limit = min((x for x in stated if x is not None), default=None)
-    if limit is None or not p.n or not p.mu:
+    if limit is None:
         return
-    places = p.points.c[0][:, : p.N]
-    still = np.max(np.ptp(places, axis=-1), axis=(1, 2)) <= STILL
-    still &= np.max(np.ptp(p.tensions.c[0], axis=-1), axis=(1, 2)) <= STILL
-    values = list[Worst]()
+    row = worst_row("rest_shift", "m", limit, [*offsets_at_rests(p)] if p.n and p.mu else ())
+    yield row._replace(verdict=SAMPLED) if row.verdict == "proven" else row
+
+
+def offsets_at_rests(p: Plan) -> Iterator[Worst]:
+    """Yield distances from the plan at rests of any duration; the plan's end is one."""
+    drift = np.max(np.ptp(p.points.c[0][:, : p.N], axis=-1), axis=(1, 2))
+    drift = np.maximum(drift, np.max(np.ptp(p.tensions.c[0], axis=-1), axis=(1, 2)))
+    still = drift <= STILL * p.h
     for pieces in runs_of(free_pieces(p)):
-        samples = samples_of(p, pieces)
-        ends = list[int]()
-        for run in runs_of(still & np.isin(np.arange(len(still)), pieces)):
-            ends += [int(run[-1])] if np.sum(p.h[run]) >= REST_TIME else []
+        on = np.isin(np.arange(len(still)), pieces)
+        ends = {int(run[-1]) for run in runs_of(still & on)} | {len(still) - 1} & {*pieces.tolist()}
+        if not ends:
+            continue
+        samples = samples_of(p, pieces, [*ends])
         for share in (0.0,) if pieces[0] == 0 else (-1.0, 1.0):
             off = histories(p, samples, share) - p.points.c[0][samples[:, 0], p.V, :, -1][:, None]
             for (q, end), x in zip(samples.tolist(), norm(off), strict=True):
                 if end and q in ends:
                     radii = np.max(widened(x, 1), axis=0)
                     at = [float(p.breaks[q + 1])] * len(radii)
-                    values += zip(radii.tolist(), at, p.labels[p.V], strict=True)
-    row = worst_row("rest_shift", "m", limit, values)
-    yield row._replace(verdict=SAMPLED) if row.verdict == "proven" else row
+                    yield from zip(radii.tolist(), at, p.labels[p.V], strict=True)
 
 
 def distances_from(ways: Array, places: Array) -> Array:

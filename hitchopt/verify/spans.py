@@ -35,6 +35,7 @@ PER_SAMPLE = 16  # effort of a sample, besides that of the values that it reads
 CHUNK = 8192  # samples at once
 DEPTH = 46  # halvings
 SAMPLED = "at samples"  # verdict on values that are not bounded between samples
+NOTHING = "nothing to check"  # verdict on a limit of which there are no values
 
 
 class Row(NamedTuple):
@@ -307,8 +308,10 @@ def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> 
 
 
 def worst_row(name: str, unit: str, limit: float, values: Sequence[Worst]) -> Row:
-    """Return a row of the largest of values with times and places."""
-    worst, time, where = max(values, default=(0.0, 0.0, ""))
+    """Return a row of the largest of values with times and places; nan is infinite."""
+    if not values:
+        return Row(name, unit, NOTHING, math.nan, limit, "max", math.nan, "", samples=0)
+    worst, time, where = max((BIG if math.isnan(x) else x, *place) for x, *place in values)
     verdict = "proven" if worst <= limit + TOLERANCE * max(abs(limit), 1.0) else "violated"
     return Row(name, unit, verdict, worst, limit, "max", time, where, 1)
 
@@ -317,5 +320,5 @@ def fault_row(name: str, faults: Iterable[Fault]) -> Row:
     """Return a row of faults: the number of kinds, the first time, and texts."""
     wrong = sorted((time, text) for time, applies, text in faults if applies)
     kinds = [*dict.fromkeys(text for _, text in wrong)]
-    values = [(float(len(kinds)), wrong[0][0], ", ".join(kinds[:6]))] if wrong else []
-    return worst_row(name, "1", 0.0, values)
+    first = wrong[0][0] if wrong else 0.0
+    return worst_row(name, "1", 0.0, [(float(len(kinds)), first, ", ".join(kinds[:6]))])

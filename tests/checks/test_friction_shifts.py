@@ -14,6 +14,7 @@ import hitchopt as ho
 from hitchopt import verify
 from hitchopt.checks.friction_shifts import (
     FRICTION_SHIFT,
+    REST_SHIFT,
     between,
     distances_from_ways,
     held,
@@ -22,8 +23,11 @@ from hitchopt.checks.friction_shifts import (
 from hitchopt.checks.registry import TEAM_REPORTS
 from hitchopt.hitch.hysteresis import held_vertices
 from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.motion.plan_file import write_plan
+from hitchopt.motion.retiming import cut, prolonged
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
+from hitchopt.verify import slides
 
 TRIANGLE = ho.ConvexPolygon([[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]])
 OUTWARD = ho.MoveVertex(0, by=np.array([0.05, 0.2]))
@@ -89,6 +93,64 @@ def test_either_limit_of_rests_refuses_vertices_that_are_held_farther_off() -> N
         check = checked(motion, "rest_shift", limits=limits)
         assert check.limit == pytest.approx(limit)
         assert check.holds == (worst <= limit)
+
+
+def rest_check(motion: Motion) -> ho.Check:
+    """Return the check ``rest_shift`` of a motion."""
+    check = REST_SHIFT.check(motion, {}, 1.0)
+    assert check is not None
+    return check
+
+
+def rest_row(motion: Motion, folder: Path) -> verify.Row:
+    """Return the verifier's row ``rest_shift`` of a motion."""
+    write_plan(folder / "plan.npz", ho.Flight.of(motion))
+    (own,), _ = verify.read(folder / "plan.npz")
+    (row,) = slides.rest_shifts(own)
+    return row
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e-3, 0.4])
+def test_a_rest_counts_however_short_and_so_does_the_end(seconds: float, tmp_path: Path) -> None:
+    """Before over-travels, too; they follow a slide without a rest."""
+    whole, slide = slid(), int(np.sum(slid().phase_of_piece == 0))
+    limits = replace(whole.requirements, limits=ho.Limits(rest_shift=0.04))
+    motion = whole.replaced(requirements=limits)
+    ends = prolonged(cut(motion, 0, slide), seconds)
+    check, row = rest_check(ends), rest_row(ends, tmp_path)
+    assert (check.holds, row.verdict) == (False, "violated")
+    assert check.worst > 0.07
+    assert row.worst == pytest.approx(check.worst, rel=0.1)
+    assert row.time == check.time == ends.duration
+    settled = rest_check(concatenated([ends, cut(motion, slide, motion.drones.pieces)]))
+    assert settled.holds is (seconds == 0.0)
+    assert (settled.time == ends.duration) is (seconds > 0.0)
+
+
+def test_a_limit_of_rests_refuses_a_plan_for_its_end_but_no_step_before_its_over_travels() -> None:
+    team = ho.Team(3, 2.4, tension=0.5, cable_friction=0.1)
+    start, limits = ho.HitchStart(TRIANGLE, 1.0), ho.Limits(rest_shift=0.045)
+    settled = ho.solve(ho.Problem(team, start, [OUTWARD], limits=limits))
+    assert settled.certificate["rest_shift"].holds
+    with pytest.raises(ho.InfeasibleError, match="rest_shift"):
+        ho.solve(ho.Problem(team, start, [replace(OUTWARD, settle=False)], limits=limits))
+
+
+def test_a_limit_of_rests_without_any_has_nothing_to_check(tmp_path: Path) -> None:
+    """Where there is no friction, or no hitch without a load."""
+    motion = slid()
+    limits = replace(motion.requirements, limits=ho.Limits(vertex_error=0.04))
+    smooth = with_fields(motion.team, cable_friction=0.0)
+    flown = motion.replaced(team=smooth, requirements=limits)
+    check, row = rest_check(flown), rest_row(flown, tmp_path)
+    assert (check.holds, check.is_evaluated, check.row["where"]) == (
+        True,
+        False,
+        "nothing to check",
+    )
+    assert (row.verdict, row.samples) == ("nothing to check", 0)
+    assert np.isnan(row.worst)
+    assert verify.verdict([row]).endswith("; nothing to check: rest_shift")
 
 
 def test_shifts_take_room_from_walls_and_objects() -> None:
