@@ -15,12 +15,17 @@ from hitchopt.checks.chords import chord_crossings
 from hitchopt.checks.distances import Flags
 from hitchopt.checks.hanging import above_ground
 from hitchopt.checks.spans import clasped_pairs, edge_vectors, leg_vectors, pair_of
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch.forces import cable_of, sag_factors
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Indices
 
-MAX_DRIFT = 1e-3  # [m] Largest motion of the midpoint of two drones that turn about each other
+MAX_DRIFT = 1e-3
+"""[m] Largest motion of the midpoint of two drones that turn about each other, and largest distance
+of a clasp from a straight line while cables are tightened."""
+
+TINY = 1e-12  # [m²] Smallest divisor
 MAX_SIDEWAYS = 1e-6  # [m] Largest horizontal motion of drones that move vertically
 
 MAX_TAUT_SHARE = 0.5
@@ -73,8 +78,19 @@ def _off_ground(motion: Motion) -> Flags:
 
 
 def _not_tightening(motion: Motion) -> Flags:
-    """Return all cables (n,) unless they are slack for most of the time."""
-    return np.full(motion.team.robots, _taut_share(motion) > MAX_TAUT_SHARE)
+    """Return all cables (n,) unless they are slack for most of the time, and clasps go straight."""
+    is_wrong = _taut_share(motion) > MAX_TAUT_SHARE or _detour(motion) > MAX_DRIFT
+    return np.full(motion.team.robots, is_wrong)
+
+
+def _detour(motion: Motion) -> float:
+    """Return the largest distance [m] of a vertex from the straight line between its ends."""
+    vertices = np.moveaxis(motion.vertices.coefficients, -1, 1)  # (pieces, degree + 1, points, 3)
+    start, end = vertices[0, 0], vertices[-1, -1]
+    along = end - start
+    shares = dot(vertices - start, along) / np.maximum(dot(along, along), TINY)
+    nearest = start + np.clip(shares, 0.0, 1.0)[..., None] * along
+    return float(np.max(length(vertices - nearest)))
 
 
 CONTRADICTING_CABLES: dict[CableState, Callable[[Motion], Flags]] = {

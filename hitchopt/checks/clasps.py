@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, with_tolerance
 from hitchopt.checks.friction import friction_excess, leg_excess
-from hitchopt.checks.grips import missing_force, unbalanced
+from hitchopt.checks.grips import bent_freely, missing_force, unbalanced
 from hitchopt.checks.objects import select
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
@@ -394,7 +394,7 @@ def _worst_residual(motion: Motion, limit: float) -> WorstCase:
 
     Pulls beyond friction and missing forces on objects count as residuals. Cables must also press
     on each other at all times: otherwise one may have passed through the other, and the residual is
-    infinite.
+    infinite, as it is where an edge bends on its own.
     """
     largest = worst(Clasps.of(motion), _balance, "max", target=with_tolerance(limit, "max"))
     where = [Clasps.names(motion)[largest.item]]
@@ -403,6 +403,8 @@ def _worst_residual(motion: Motion, limit: float) -> WorstCase:
     cases = [WorstCase(largest.worst, largest.time, tuple(where)), unbalanced(motion)]
     if motion.leg_tensions_differ:
         cases.append(friction_excess(motion))
+    if motion.has_wraps:
+        cases.append(bent_freely(motion))
     return max(cases, key=lambda case: case.worst)
 
 

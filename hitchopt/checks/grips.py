@@ -213,20 +213,16 @@ def spare_friction(motion: Motion, index: int) -> Array:
     return np.concatenate([spans.slip_load / GRIP_LIMIT - spans.load for spans in parts])
 
 
-def _slipping(motion: Motion, limit: float) -> WorstCase:
-    """Return the smallest ratio of slip load to load.
-
-    It is minus infinity if an edge bends without a gripped object, or off the object's section.
-    """
-    slipping = _smallest(slip_ratio)(motion, limit)
-    is_bent_freely = np.any(~_straight(Enclosed(bends(motion))), axis=1)
+def bent_freely(motion: Motion) -> WorstCase:
+    """Return an infinite residual where an edge bends without an object that is gripped, or 0."""
+    is_bent = ~_straight(Enclosed(bends(motion)))
     for gripped in gripped_objects(motion):
-        is_bent_freely &= ~gripped.pieces
-    if np.any(is_bent_freely):
-        first = int(np.argmax(is_bent_freely))
-        bent_freely = WorstCase(-math.inf, float(motion.drones.breaks[first]))
-        return min(slipping, bent_freely, key=lambda case: case.worst)
-    return slipping
+        is_bent[gripped.pieces] = False
+    if not np.any(is_bent):
+        return WorstCase(0.0, float(motion.drones.breaks[0]))
+    piece, edge = np.argwhere(is_bent)[0].tolist()
+    where = f"edge {edge} bends without an object"
+    return WorstCase(math.inf, float(motion.drones.breaks[piece]), (where,))
 
 
 FORMULAS = (slip_ratio, Gripped.slip_load, Gripped.load)
@@ -235,8 +231,8 @@ GRIP = CheckRule(
     "grip",
     "ratio",
     "min",
-    lambda motion: GRIP_LIMIT if gripped_objects(motion) or motion.has_wraps else None,
-    (Evaluator(_slipping, TAUT_STATES | FREE_STATES, formulas=FORMULAS),),
+    lambda motion: GRIP_LIMIT if gripped_objects(motion) else None,
+    (Evaluator(_smallest(slip_ratio), TAUT_STATES | FREE_STATES, formulas=FORMULAS),),
     "lower the object's mass, raise the tension, or use rougher cables",
     whole=True,  # relative to the start of holds
     group="forces",

@@ -40,6 +40,7 @@ from hitchopt.motion.motion import (
     CLASPED_STATES,
     FREE_STATES,
     JOINT,
+    PULLING_STATES,
     TAUT_STATES,
     UNLINKED_STATES,
     CableState,
@@ -61,15 +62,15 @@ MAX_NAMED = 12  # Maximum number of pairs in ``where``
 def _largest_jump(motion: Motion, _: float) -> WorstCase:
     """Return the largest sum of jumps at joints: positions [m], velocities, accelerations [m/s²].
 
-    Drones and objects are compared, and vertices and legs while cables are taut.
+    Drones and objects are compared, vertices while cables pull drones, and legs of taut cables.
     """
     curves = [(motion.drones, motion.team.drone_names)]
     if motion.requirements.objects:
         curves.append((motion.poses, tuple(motion.requirements.objects)))
-    leg_names = motion.team.leg_names
-    for span in motion.spans(TAUT_STATES):
-        curves.append((span.vertices, span.team.point_names))
-        curves.append((span.legs.reshaped(-1, 1), leg_names))
+    team = motion.team
+    curves += [(span.vertices, team.point_names) for span in motion.spans(PULLING_STATES)]
+    legs = [span.legs.reshaped(-1, 1) for span in motion.spans(TAUT_STATES)]
+    curves += [(curve, team.leg_names) for curve in legs]
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for curve, names in curves:
         for jumps, of in zip(_jumps(curve, position_margin(motion)), JUMP_UNITS, strict=True):
@@ -229,7 +230,8 @@ def _contradicting_crossings(
         yield Contradiction(phase, pairs[selected], crossings.time[selected])
         if state is CableState.HITCHED:
             continue
-        yield Contradiction(phase, contradictions(motion), float(motion.drones.breaks[0]))
+        compared = span if state is CableState.TIGHTENING else motion
+        yield Contradiction(phase, contradictions(compared), float(motion.drones.breaks[0]))
         if state not in (CableState.GROUND, CableState.LOOSE):  # there, all keep a distance
             drone, cable, time = drones_inside_hanging_cables(motion)
             yield Contradiction(phase, pair_of(layout, drone // 2, cable), time)

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from .arithmetic import POS_TOL, Array, Items, Mask, norm, varies
+from .arithmetic import POS_TOL, Array, Items, Mask, norm, runs_of, varies
 from .catenary import lowest_height
 from .drones import thrust
 from .objects import support_below
@@ -34,16 +34,17 @@ def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
 def curve_jumps(p: Plan) -> Iterator[tuple[Worst, str]]:
     """Yield the sums of jumps of curves and of two derivatives, with their units.
 
-    Jumps of cables count between taut pieces.
+    Those of vertices are between pieces on which cables pull drones, those of legs between taut
+    ones.
     """
     bodies = [body.name for body in p.bodies]
-    both_taut = (p.formed[1:] & p.formed[:-1])[:, None]
+    both_taut, both_pulling = ((on[1:] & on[:-1])[:, None] for on in (p.formed, p.pulling))
     for k, unit in enumerate(JUMP_UNITS):
         points = p.points.c[k]
         for jumps, names in (
             (jumps_of(points[:, : p.N]), p.names),
             (jumps_of(p.poses.c[k]), bodies),
-            (jumps_of(points[:, p.V]) * both_taut, p.labels[p.V]),
+            (jumps_of(points[:, p.V]) * both_pulling, p.labels[p.V]),
             (jumps_of(p.legs.c[k]) * both_taut, p.names),
         ):
             yield from ((worst, unit) for worst in total_jump(jumps, p, names))
@@ -112,7 +113,7 @@ def worst_item(values: Array, x: Array, p: Plan, names: Sequence[str]) -> Worst:
 
 def consistency(p: Plan) -> Iterator[Row]:
     """Check phases and objects for contradictions, and the duration."""
-    yield fault_row("consistency", (*phase_faults(p), *object_faults(p)))
+    yield fault_row("consistency", (*phase_faults(p), *clasp_faults(p), *object_faults(p)))
     if p.limits["duration"] is not None:
         end = float(p.breaks[-1])
         yield worst_row("duration", "s", p.limits["duration"], [(end, end, "")])
@@ -172,6 +173,17 @@ def tightened_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
     is_full = excess @ p.stated_tension[:, 0] > 0.0
     full_time, time = np.sum(p.h[on] * is_full), np.sum(p.h[on])
     yield bool(full_time > 0.5 * time), "cables stated as slack have their full length"
+
+
+def clasp_faults(p: Plan) -> Iterator[Fault]:
+    """Yield clasps that leave the straight lines on which cables are tightened, in each run."""
+    for pieces in runs_of(p.state == TIGHTENED):
+        places = np.moveaxis(p.points.c[0][pieces][:, p.V], -1, 1)  # (pieces, N + 1, P, 3)
+        start, along = places[0, 0], places[-1, -1] - places[0, 0]
+        share = np.sum((places - start) * along, -1) / np.maximum(norm(along) ** 2, 1e-12)
+        off = norm(places - start - np.clip(share, 0.0, 1.0)[..., None] * along)
+        time = float(p.breaks[pieces[0]])
+        yield time, bool(np.max(off) > RESOLUTION), "clasps wander while cables are tightened"
 
 
 def of_cables(p: Plan, on: Mask) -> tuple[Spans, Items]:

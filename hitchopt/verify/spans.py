@@ -311,7 +311,7 @@ def worst_row(name: str, unit: str, limit: float, values: Sequence[Worst]) -> Ro
     """Return a row of the largest of values with times and places; nan is infinite."""
     if not values:
         return Row(name, unit, NOTHING, math.nan, limit, "max", math.nan, "", samples=0)
-    worst, time, where = max((BIG if math.isnan(x) else x, *place) for x, *place in values)
+    worst, time, where = max((BIG if math.isnan(x) else x, t, at) for x, t, at in values)
     verdict = "proven" if worst <= limit + TOLERANCE * max(abs(limit), 1.0) else "violated"
     return Row(name, unit, verdict, worst, limit, "max", time, where, 1)
 

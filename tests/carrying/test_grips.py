@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 import hitchopt as ho
 from benchmarks.families import wild_carry
 from hitchopt import verify as second
-from hitchopt.checks.grips import Gripped, arc_lengths
+from hitchopt.checks.grips import GRIP, Gripped, arc_lengths
 from hitchopt.checks.stops import carried_paths
 from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
@@ -456,8 +456,11 @@ def test_edges_without_load_are_straight(size: float, aside: float, apart: float
     off = np.stack([0.0 * along, 2e-5 * apart * along], axis=2)
     off[..., 2, :] += 2e-5 * aside
     contacts = (p + 0.5 * onward)[:, :, None] + off
-    found = check(replace(flight, contacts=flight.vertices.replaced(contacts)), "grip").worst
-    assert (found >= 0.0) == (max(aside, apart) < 1.0)
+    bent = replace(flight, contacts=flight.vertices.replaced(contacts))
+    equilibrium = check(bent, "equilibrium")
+    assert equilibrium.holds == (max(aside, apart) < 1.0)
+    assert equilibrium.holds or equilibrium.where == ("edge 0 bends without an object",)
+    assert GRIP.check(bent) is None
 
 
 def test_a_stop_uses_only_the_remaining_friction(motion: Motion) -> None:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hitchopt import verify as second
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import RULES
 from hitchopt.hitch import Team
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import cut, padded
+from hitchopt.verify import consistency
 from tests.helpers.motions import altered, free_motion, plus, row, through
 from tests.helpers.plans import planned
 
@@ -97,6 +102,44 @@ def test_cables_at_full_length_are_not_being_tightened() -> None:
     moved = altered(changed, "vertices", plus((slice(None), 0, 0), 0.02))
     for each in (whole, changed, moved):
         assert refused(each) == ALL
+
+
+@pytest.mark.parametrize("state", ["tighten", "loosen"])
+@pytest.mark.parametrize("follow", [False, True])
+def test_clasps_go_straight_while_cables_are_tightened(
+    state: str, follow: bool, tmp_path: Path
+) -> None:
+    """None wanders by 5 cm and back, although no cable is taut that it could pull."""
+    motion = planned("tie_carry_untie").motion
+    pieces = np.flatnonzero(motion.phase_of_piece == index_of(motion, state))
+    assert len(pieces) > 1
+    bump = np.zeros(motion.vertices.coefficients.shape)
+    bump[pieces[0], 0, 0, 3:] = bump[pieces[1], 0, 0, :-3] = 0.05
+    wandering = motion.vertices.replaced(motion.vertices.coefficients + bump)
+    flown = motion.replaced(vertices=wandering)
+    if not follow:
+        flown = flown.replaced(contacts=motion.contacts)
+    assert refused(flown) == ALL
+    assert "grip" not in {check.name for check in certify(flown, reports=()).violated}
+    write_plan(tmp_path / "plan.npz", Flight.of(flown))
+    (plan,), _ = second.read(tmp_path / "plan.npz")
+    faults = {text for _, applies, text in consistency.clasp_faults(plan) if applies}
+    assert faults == {"clasps wander while cables are tightened"}
+
+
+def test_clasps_end_where_the_hitch_has_them(tmp_path: Path) -> None:
+    """They go straight, but elsewhere."""
+    motion = planned("tie_carry_untie").motion
+    pieces = motion.phase_of_piece == index_of(motion, "tighten")
+    beside = altered(motion, "vertices", plus((pieces, 0, 0), 0.02))
+    assert row(motion, "continuity").holds
+    assert not row(beside, "continuity").holds
+    worst = list[float]()
+    for each in (motion, beside):
+        write_plan(tmp_path / "plan.npz", Flight.of(each))
+        (plan,), _ = second.read(tmp_path / "plan.npz")
+        worst.append(max(value for value, *_ in consistency.curve_jumps(plan)))
+    assert worst[0] < 1e-6 < worst[1]
 
 
 @pytest.mark.slow

@@ -399,7 +399,7 @@ def test_a_wait_stands_still_and_one_team_waits_for_nobody(tmp_path: Path) -> No
     data["mission"][0]["morph"]["duration"] = middle
     halves = [morph.retimed(0.0, middle), replace(morph, name="wait", start=middle)]
     assert not believed(motion.replaced(phases=(*halves, *others)), data, tmp_path)
-    data: Any = parse_yaml(MOVED)
+    data = parse_yaml(MOVED)
     end = int(np.argmin(np.abs(times - morph.end)))
     flown, rest = cut(motion, 0, end), cut(motion, end, motion.drones.pieces)
     wait = resting(flown, 1.0, replace(morph, name="wait"))
