@@ -278,7 +278,7 @@ class Plan(OneLine):
 
         def report_share(fraction: float) -> None:
             if progress is not None:
-                progress(f"writing setpoints, {fraction:.0%}")
+                progress(f"writing tables, {fraction:.0%}")
 
         content = self.flight, self.certificate, self.title
         pages = {REPORT: lambda file: self._write_report(file, file.parent)}

@@ -14,7 +14,7 @@ import numpy as np
 
 from hitchopt.checks.distances import UNBOUNDED, Moving, Shape
 from hitchopt.checks.objects import in_object_frame
-from hitchopt.checks.spans import ROUNDING, magnitude
+from hitchopt.checks.spans import ROUNDING, cached, magnitude
 from hitchopt.geometry.vectors import dot, unit
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import Slab, SolidObject
@@ -123,6 +123,12 @@ def obstacles(motion: Motion) -> list[Slab]:
     return slabs
 
 
+@cached
+def _rounding(motion: Motion) -> float:
+    """Return the rounding error of distances from obstacles [m]."""
+    return ROUNDING * (magnitude(motion) + sum(slab.size for slab in obstacles(motion)))
+
+
 class PlacedObject(NamedTuple):
     """An object of a motion."""
 
@@ -156,7 +162,7 @@ def pairs_with_shape(
     """
     local = points if pose is None else in_object_frame(pose, points)
     if margin is None:
-        margin = ROUNDING * (magnitude(motion) + sum(slab.size for slab in obstacles(motion)))
+        margin = _rounding(motion)
     margin += float(np.max(local.r))
     options: dict[str, Any] = {"breaks": motion.drones.breaks, "names": (names, (label,))}
     options |= further

@@ -13,11 +13,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, optional_module
+from hitchopt.errors import (
+    FileError,
+    HitchoptError,
+    InfeasibleError,
+    InputError,
+    optional_module,
+)
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.motion.states import States, flight_states_at, iterate_flight_states, sample_times
+from hitchopt.motion.states import (
+    MAX_SAMPLES,
+    States,
+    flight_states_at,
+    iterate_flight_states,
+    sample_times,
+)
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import (
     DIAGNOSIS,
@@ -81,16 +93,19 @@ def save_plan(
     """Write the files of a certified plan atomically; return the directory.
 
     Tables are sampled at ``rate`` [Hz]; ``pages`` are writers of further files of OWNED;
-    ``progress`` is called with the fraction of setpoints written.
+    ``progress`` is called with the fraction of setpoints, then of vertices written.
+
+    Raises InputError with the longest phase if a table would have more than MAX_SAMPLES samples.
     """
     certificate.raise_if_violated()
+    _check_samples(flight, rate)
     writers: dict[str, Writer] = {
         PLAN: lambda path: write_plan(path, flight, title, problem, certificate.stated_rules),
         SETPOINTS: lambda path: write_setpoints(path, flight, rate, progress),
         **(pages or {}),
     }
     if flight.has_cables:
-        writers[VERTICES] = lambda path: write_vertices(path, flight, rate)
+        writers[VERTICES] = lambda path: write_vertices(path, flight, rate, progress)
     tables = [name for name in (SETPOINTS, VERTICES) if name in writers]
 
     def seal(path: Path) -> None:
@@ -100,6 +115,17 @@ def save_plan(
 
     writers[CERTIFICATE] = seal
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE, previous="remove")
+
+
+def _check_samples(flight: Flight, rate: float) -> None:
+    """Raise InputError with the longest phase if a table would have too many samples."""
+    if flight.duration * rate <= MAX_SAMPLES:
+        return
+    longest = max(flight.phases, key=lambda phase: phase.end - phase.start)
+    seconds = longest.end - longest.start
+    bound = f"at most {MAX_SAMPLES / flight.duration:.3g} Hz in a plan of {flight.duration:g} s"
+    remedy = f"shorten step {longest.step} ({longest.name}), which lasts {seconds:g} s, or lower it"
+    raise InputError("rate", rate, bound, remedy)
 
 
 def certificate_content(flight: Flight, certificate: Certificate, plan: Path) -> dict[str, Any]:
@@ -299,7 +325,9 @@ def write_setpoints(
     write_rows(path, HEADER, (names, blocks()))
 
 
-def write_vertices(path: Path, flight: Flight, rate: float) -> None:
+def write_vertices(
+    path: Path, flight: Flight, rate: float, progress: Progress | None = None
+) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has edge k's tension.
 
     The tension of the last point of an open chain is empty. Vertices of several teams have names
@@ -318,6 +346,8 @@ def write_vertices(path: Path, flight: Flight, rate: float) -> None:
             values[..., :3] = part.vertices.at(plan_times[block])
             values[:, : part.team.robots, 3] = part.tensions.at(plan_times[block])
             yield t[block], values + 0.0  # no negative zeros
+            if progress is not None:
+                progress(min(float(t[block][-1]) / float(times[-1] or 1.0), 1.0))
 
     tables = []
     for each in flight.teams:

@@ -331,7 +331,7 @@ class HitchEnergy:
         free = np.flatnonzero(self.free)
         displacements = np.zeros((samples, nodes * axes, math.prod(right_sides)))
         on_free = forces.reshape(displacements.shape)[:, free]
-        displacements[:, free] = np.linalg.solve(matrices[:, free[:, None], free], on_free)
+        displacements[:, free] = solutions_of(matrices[:, free[:, None], free], on_free)
         return displacements.reshape(forces.shape)
 
     def steps(
@@ -390,6 +390,7 @@ class HitchEnergy:
             damping = np.where(failed, raised, lowered)
         return positions
 
+    @np.errstate(over="ignore", invalid="ignore")  # of friction that no balance bears
     def rest_with_friction(self, rest: Array, friction: float | Array) -> Array:
         """Return the nodes (S, nodes, 3) [m] at an end of the band; nan without convergence.
 
@@ -467,3 +468,14 @@ def bends_of(directions: Any) -> Any:
 def cosines_of(directions: Any) -> Any:
     """Return cosines (…, 2) of the angles between consecutive spans with directions (…, 3, 3)."""
     return np.sum(directions[..., 1:, :] * directions[..., :-1, :], axis=-1)
+
+
+def solutions_of(matrices: Array, right_sides: Array) -> Array:
+    """Return the solutions of linear systems (S, …), nan where a matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right_sides))
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full_like(right_sides, np.nan)
+    pairs = zip(matrices[:, None], right_sides[:, None], strict=True)
+    return np.concatenate([solutions_of(*pair) for pair in pairs])

@@ -39,6 +39,7 @@ PROJECTIONS = 300  # Largest number of projected gradient steps
 CONVERGED = 1e-6  # Change of parts at which these end
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of friction that no balance bears
 def held_vertices(team: Team, samples: Mapping[str, Array], frictions: Array, held: Array) -> Array:
     """Return vertices (S, F, points, 3) [m] in consecutive samples, for F coefficients of friction.
 
