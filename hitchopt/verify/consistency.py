@@ -169,7 +169,10 @@ def tightened_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
     Cables of more tension count more.
     """
     spans, cables = of_cables(p, on)
-    excess = spans.route_length(cables).v.reshape(-1, p.n) - (1.0 - 1e-4) * p.length[:, 0]
+    legs = [spans.leg(2 * cables + end).norm().v for end in (0, 1)]
+    parts = np.stack([*legs, sum(x.norm().v for x in spans.edge(cables))]).reshape(3, -1, p.n)
+    sags = (p.weight / p.stated_tension[:, 0]) ** 2 / 24.0 * parts**3
+    excess = np.sum(parts + sags, axis=0) - (1.0 - 1e-4) * p.length[:, 0]
     is_full = excess @ p.stated_tension[:, 0] > 0.0
     full_time, time = np.sum(p.h[on] * is_full), np.sum(p.h[on])
     yield bool(full_time > 0.5 * time), "cables stated as slack have their full length"

@@ -101,7 +101,7 @@ class Step(NamedTuple):
         before = slice(self.first, end)
         legs = self.p.legs.c[0][before]
         slide = np.max(np.ptp(legs, axis=(0, -1)), initial=0.0) if len(legs) else 0.0
-        return bool(slide > SLIDE or not np.all(self.p.taut[before]))
+        return bool(slide > SLIDE or not np.all(self.p.formed[before]))
 
     @property
     def seconds(self) -> float:

@@ -138,7 +138,7 @@ def test_clasps_end_where_the_hitch_has_them(tmp_path: Path) -> None:
     for each in (motion, beside):
         write_plan(tmp_path / "plan.npz", Flight.of(each))
         (plan,), _ = second.read(tmp_path / "plan.npz")
-        worst.append(max(value for value, *_ in consistency.curve_jumps(plan)))
+        worst.append(max(value for (value, *_), _ in consistency.curve_jumps(plan)))
     assert worst[0] < 1e-6 < worst[1]
 
 

@@ -21,10 +21,13 @@ from hitchopt.checks.friction_shifts import (
     sample_times,
 )
 from hitchopt.checks.registry import TEAM_REPORTS
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch.hysteresis import held_vertices
-from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import cut, prolonged
+from hitchopt.planners.rests import rest_motion
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 from hitchopt.verify import slides
@@ -125,6 +128,34 @@ def test_a_rest_counts_however_short_and_so_does_the_end(seconds: float, tmp_pat
     settled = rest_check(concatenated([ends, cut(motion, slide, motion.drones.pieces)]))
     assert settled.holds is (seconds == 0.0)
     assert (settled.time == ends.duration) is (seconds > 0.0)
+
+
+def tied(tension: list[float]) -> Motion:
+    """Return a triangle at rest, whose cables were tightened before."""
+    team = ho.Team(3, 2.4, tension=tension, cable_friction=(0.05, 0.1))
+    hitch = ho.Hitch.spread(team, TRIANGLE, altitude=1.0)
+    limits = Requirements(limits=ho.Limits(rest_shift=1.0))
+    motion = prolonged(rest_motion(hitch, limits, 1.0, Phase("tighten", 0, 0.0, 1.0)), 1.0)
+    tight, hitched = (motion.phases[0].retimed(*span) for span in ((0.0, 1.0), (1.0, 2.0)))
+    return motion.replaced(phases=(replace(tight, state=CableState.TIGHTENING), hitched))
+
+
+def test_a_hitch_that_was_tied_has_friction_in_both_directions_at_first(tmp_path: Path) -> None:
+    """One that a plan starts with has none."""
+    motion = tied([0.5, 0.45, 0.55])
+    check, row = rest_check(motion), rest_row(motion, tmp_path)
+    frictions = np.linspace(0.05, 0.1, 5)
+    ends = [
+        length(found.vertices[-1] - found.planned[-1])
+        for share in (-1.0, 1.0)
+        for found in [held(motion, np.array([1.0, 2.0]), frictions, np.full(5, share))]
+    ]
+    assert min(map(np.max, ends)) > 0.005
+    assert max(map(np.max, ends)) <= check.worst < 1.3 * max(map(np.max, ends))
+    assert row.worst == pytest.approx(check.worst, rel=0.05)
+    at_start = motion.replaced(phases=(replace(motion.phases[1], start=0.0),))
+    assert rest_check(at_start).worst < 1e-3
+    assert rest_row(at_start, tmp_path).worst < 1e-3
 
 
 def test_a_limit_of_rests_refuses_a_plan_for_its_end_but_no_step_before_its_over_travels() -> None:
