@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from hitchopt.checks.hanging import chains
+from hitchopt.errors import UnitWarning
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
@@ -146,7 +148,10 @@ def slackened(_: int) -> Motion:
 def without_own_cables(motion: Motion) -> Motion:
     """Return the motion with a limit so large that no drone's own cable is long enough to count."""
     requirements = motion.requirements
-    separation = replace(requirements.separation, cable=float(max(motion.team.cable_length)))
+    longest = float(max(motion.team.cable_length))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnitWarning)  # far beyond usual distances
+        separation = replace(requirements.separation, cable=longest)
     return replace(motion, requirements=replace(requirements, separation=separation))
 
 

@@ -163,7 +163,7 @@ FORMS: dict[str, tuple[Callable[[], Motion], str, Worst, bool, Set[tuple[str, ..
         *("thrust", math.hypot(0.2 * 9.81, 0.4), True, {("q1",), ("r1",)}),
     ),
     "a weaker drone": (
-        lambda: with_kinds(*KINDS[:2], Quadrotor(0.3, 2.9)),
+        lambda: with_kinds(*KINDS[:2], Quadrotor(0.3, 2.96)),
         *("thrust", math.hypot(0.3 * 9.81, 0.4), False, {("q2",), ("r2",)}),
     ),
     "a drone leans as its cable pulls": (

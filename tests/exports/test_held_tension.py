@@ -180,7 +180,9 @@ def test_every_format_holds_the_tension(name: str, plan: ho.Plan, tmp_path: Path
     assert said["undetermined_tension"] == []
     (report,) = ho.lint(tmp_path)
     assert report.sound
-    assert [f for f in report.findings if f.level == "warning"] == []
+    # The plan begins in the air, where shows cannot begin
+    warned = {f.rule for f in report.findings if f.level == "warning"}
+    assert warned == ({"start"} if name == "skybrush" else set())
 
 
 def test_tables_feed_nothing_forward_and_hold_the_setpoints(plan: ho.Plan, tmp_path: Path) -> None:

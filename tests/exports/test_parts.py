@@ -45,13 +45,14 @@ def test_a_mission_is_cut_where_it_rests_and_rests_longer_there(tmp_path: Path) 
     parts = plan.export("crazyswarm2", tmp_path / "show")
     assert len(parts) > 1
     spans = (read_manifest(tmp_path / "show") or {})["plan_spans"]
-    assert [0.0, *(end for _, end in spans)] == [*(begins for begins, _ in spans), plan.duration]
+    begun = [*(begins for begins, _ in spans), plan.duration]
+    assert [0.0, *(end for _, end in spans)] == pytest.approx(begun)
     (said,) = {note for part in parts for note in part.notes if "are extended by" in note}
     assert f"({REST_TIME * (len(parts) - 1):g} s in total)" in said
     names, kind = plan.motion.team.drone_names, format_of("crazyswarm2")
     ends = []
     for part, (begins, until) in zip(parts, spans, strict=True):
-        assert (read_manifest(part.folder) or {})["plan_span"] == [begins, until]
+        assert (read_manifest(part.folder) or {})["plan_span"] == pytest.approx([begins, until])
         files = [part.folder / f"{name}.csv" for name in names]
         (curves,) = kind.load(files).windows()
         assert curves.duration == pytest.approx(until - begins + REST_TIME, abs=2e-3)

@@ -327,7 +327,7 @@ def test_objects_are_carried_as_requested(tmp_path: Path, old: str, new: str, ke
 
 
 ASKED = (
-    ("{mass: 0.14}", "{mass: 0.28}", "request.team.quadrotor[1].mass"),
+    ("{mass: 0.14}", "{mass: 0.2}", "request.team.quadrotor[1].mass"),
     ("speed: 0.9", "speed: 0.8", "request.limits.speed"),
     ("[0.8, 0.9, 1.5]", "[0.8, 0.8, 1.5]", "request.start.drones.r[2][1]"),
 )

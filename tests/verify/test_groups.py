@@ -107,10 +107,10 @@ def longer(settings: dict[str, Any], arrays: dict[str, Any]) -> None:
 
 
 def drifts(_: dict[str, Any], arrays: dict[str, Any]) -> None:
-    """Let a team that waits for its start move aside, and back."""
-    first = arrays["groups/1/drones"][0].copy()
-    first[:, 0, 3:-3] += 0.01
-    arrays["groups/1/drones"] = np.concatenate([first[None], arrays["groups/1/drones"][1:]])
+    """Let a team that waits for the other one move aside, and back."""
+    last = arrays["groups/0/drones"][-1].copy()
+    last[:, 0, 3:-3] += 0.01
+    arrays["groups/0/drones"] = np.concatenate([arrays["groups/0/drones"][:-1], last[None]])
 
 
 def stricter(key: str, name: str, value: float) -> Change:
@@ -161,8 +161,8 @@ LIES_BESIDE: dict[str, Change] = {
 BROKEN = {
     "speed": stricter("limits", "speed", 0.4),
     "separation": stricter("separation", "radius", 0.2),
-    "crossing": stricter("separation", "crossing", 0.3),
-    "cable_clearance": stricter("separation", "cable", 0.26),
+    "crossing": stricter("separation", "crossing", 0.48),
+    "cable_clearance": stricter("separation", "cable", 0.5),
 }
 """Limits that are stricter in one team, which both then break."""
 
