@@ -507,7 +507,7 @@ def test_tables_have_four_digits_and_fit_80_columns(monkeypatch: pytest.MonkeyPa
         "check|worst|limit|unit|where|when|holds",
         "separation|1.062|≥ 1|ratio|q11, r3|3.250 s|yes",
         "cable_clearance|0.099999|≥ 0.1|m|q11, cable 10|4.500 s|NO",  # as many as tell them apart
-        "crossing|–|≥ 0.05|m|yes",
+        "crossing|–|≥ 0.05|m|nothing to check|yes",
         "tracking_radius|0.0125|γ = 1.5|m|q0, r1|3.500 s|yes",
         "span|0.9|≤ 1|ratio|cable 0, cable 1 and 97 more|1.500 s|yes",
         "arena|0|≥ 0|m|q0|0.000 s|yes",

@@ -19,7 +19,7 @@ from hitchopt.checks.certifying import check_of
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.cli import main as main_command
 from hitchopt.motion.plan_file import FORMAT, read_plan, write_plan
-from hitchopt.verify import links, teams
+from hitchopt.verify import teams
 from tests.helpers.plans import planned
 from tests.helpers.second_opinions import opinion, violated
 
@@ -28,14 +28,12 @@ REFUSED = {
     "through_edge": "cable_clearance",
     "through_edge_fast": "cable_clearance",
     "over_tray": "downwash",
-    "past_open": "interlacing",
 }
 """Forged plans, and the limits that they violate."""
 
 ROWS = {
     "cable_clearance": teams.between_plans,
     "downwash": teams.object_distances,
-    "interlacing": links.interlacing,
 }
 """Functions of ``verify`` that find it."""
 
