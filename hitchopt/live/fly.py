@@ -18,7 +18,7 @@ import numpy as np
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import Aborts, AbortTable, moves_standing
-from hitchopt.live.losing import check_loss
+from hitchopt.live.losing import check_loss, dropped_at_rest, team_of
 from hitchopt.live.player import Setpoints
 from hitchopt.live.reacting import Player
 from hitchopt.motion.flight import Flight
@@ -173,12 +173,30 @@ class CommandedPlan:
             self._landing, seconds = None, player.pause()
             self._await_rest(f"lose {robot}")
             return f"lose {robot}: at rest in {seconds:.2f} s"
-        seconds = player.lose(robot)
+        team = team_of(player.flight, robot)
+
+        def with_chain() -> str:
+            """Hold the chain that remains."""
+            return f"the others hold a chain in {player.lose(robot):.2f} s"
+
+        def without_cables() -> str:
+            """Hover without the cables of the team."""
+            found = dropped_at_rest(player.flight, team.name, player.time)
+            player.follow(found.flight, found.drones)
+            return "no chain is certified: all drop their cables and hover"
+
+        answers = [Candidate("chain", with_chain)]
+        if team.motion.team.release:
+            answers.append(Candidate("hover without cables", without_cables))
+        effect = first_certified(answers, Effort())
         self.lost = robot
-        return f"robot {robot} is lost: the others hold a chain in {seconds:.2f} s"
+        return f"robot {robot} is lost: {effect}"
 
     def _land_chain(self, command: str) -> str:
-        """Land what remains after a loss once it is held: as commanded, or else in another way."""
+        """Land what remains after a loss once it is held: as commanded, or else in another way.
+
+        The last way is without cables, where drones can drop them.
+        """
         player = self._player
         if self.descending:
             return f"landing continues at full speed in {player.resume():.2f} s"
@@ -188,14 +206,31 @@ class CommandedPlan:
                 player.resume()
             self._await_rest(command)
             return f"{command}: as soon as the chain is held"
+        chain = flight.teams[0]  # what remains; then the lost robot's drones, and other teams
 
-        def land(how: str) -> str:
-            """Land in one way, and return its name."""
-            self._landing = self._landing_of(Aborts(flight).plan(flight.duration, how))
+        def land(before: Flight, drones: tuple[str, ...], how: str) -> None:
+            """Land from the end of a flight; setpoints keep their order."""
+            found = Aborts(before).plan(before.duration, how)
+            landing = found.flight.between(found.start + found.seconds, found.flight.duration)
+            player.follow(landing, drones)
+
+        def land_chain(how: str) -> str:
+            """Land with its cables, and return how."""
+            land(flight, flight.team.drone_names, how)
             return how
 
-        ways = dict.fromkeys((self._tables[command].how, "release_and_land", "land"))
-        flown = first_certified([Candidate(how, partial(land, how)) for how in ways], Effort())
+        def land_without_cables() -> str:
+            """Drop all cables and land, and return how."""
+            found = dropped_at_rest(flight, chain.name, player.time)
+            land(found.flight, found.drones, "land")
+            return "without cables"
+
+        hows = dict.fromkeys((self._tables[command].how, "release_and_land", "land"))
+        answers = [Candidate("landing", partial(land_chain, how)) for how in hows]
+        if chain.motion.team.release:
+            answers.append(Candidate("landing without cables", land_without_cables))
+        flown = first_certified(answers, Effort())
+        self.descending = True
         return f"{EFFECTS[command]}: {flown}"
 
     def _land(self, command: str) -> str:

@@ -61,8 +61,8 @@ NOTHING_BEARS = "without one of its cables all others are loose until they are a
 
 HOW = ("hold", "land")  # What follows once the chain is taut
 
-LANDINGS = ("release_and_land", "land")
-"""How a chain lands, in order: untied, or else straight down with its hitch.
+LANDINGS = {"release_and_land": "untied landing", "land": "tied landing"}
+"""How a chain lands, in order: untied, or else straight down with its hitch; and their names.
 
 If neither is certified, a team that can (``release``) drops all its cables, and its drones land.
 """
@@ -97,8 +97,12 @@ class _Place(NamedTuple):
 
 def check_loss(flight: Flight, robot: str, time: float) -> None:
     """Raise InputError if a robot cannot be lost at a plan time [s]; see ``Plan.after_loss``."""
-    place = _place(flight, robot)
-    _taut_run(flight.teams[place.team].motion, nonnegative("t", time), robot)
+    _taut_run(team_of(flight, robot).motion, nonnegative("t", time), robot)
+
+
+def team_of(flight: Flight, robot: str) -> TeamMotion:
+    """Return the team of a robot; raises InputError for a robot that cannot be lost."""
+    return flight.teams[_place(flight, robot).team]
 
 
 def after_loss_at_rest(flight: Flight, robot: str, time: float, rest: float) -> Remaining:
@@ -124,30 +128,52 @@ def after_loss_of(flight: Flight, robot: str, time: float, how: str = "hold") ->
     stop = next(stops, ending)
     if how == "hold":
         return _after_loss(flight, robot, time, stop, time, DELAY, level=False)
+    flown = team_of(flight, robot)
     with_chain = cache(partial(_after_loss, flight, robot, time, stop, time, DELAY, level=True))
-    dropped = partial(_all_dropped, flight, robot, time, stop)
+    dropped = partial(_all_dropped, flight, flown, stop, time, DELAY)
+
+    when = _when_lost(robot, time)
 
     def landed(before: Callable[[], Remaining], how: str) -> Remaining:
         found = before()
         landing = Aborts(found.flight).plan(found.flight.duration, how).flight
-        return replace(found, flight=landing, certificate=_certified(landing, robot, time))
+        return replace(found, flight=landing, certificate=_certified(landing, when))
 
-    ends: list[tuple[str, Callable[[], Remaining]]] = [("landing", with_chain)]
-    if flight.teams[_place(flight, robot).team].motion.team.release:
-        ends.append(("landing without cables", dropped))
-    candidates = (
-        Candidate(name, partial(landed, before, how)) for name, before in ends for how in LANDINGS
-    )
-    return first_certified(candidates, Effort())
+    candidates = [
+        Candidate(name, partial(landed, with_chain, how)) for how, name in LANDINGS.items()
+    ]
+    if flown.motion.team.release:
+        candidates.append(Candidate("landing without cables", partial(landed, dropped, "land")))
+        return first_certified(candidates, Effort())
+    try:
+        return first_certified(candidates, Effort())
+    except InfeasibleError as error:
+        remedy = "set team.release: true if drones can drop their cables; they then land without"
+        raise error.with_note(remedy) from None
 
 
-def _all_dropped(flight: Flight, robot: str, time: float, stop: PreparedStop) -> Remaining:
-    """Return the flight after a loss at a plan time [s] in which the team drops all its cables.
+def dropped_at_rest(flight: Flight, team: str, rest: float) -> Remaining:
+    """Return the certified flight from a rest [s] on, where a team has dropped all its cables.
 
-    All stop as in ``_after_loss``. The flight is not certified yet.
+    The team is given by its name. Raises InfeasibleError if a limit is not kept.
     """
-    flown = flight.teams[_place(flight, robot).team]
-    begin, reacts, planned = _way_to_rest(flight, stop, time, DELAY)
+    flown = next(each for each in flight.teams if each.name == team)
+    stop = PreparedStop(rest, rest, 0.0)
+    begin = stop.until_rest(flight).duration
+    found = _all_dropped(flight, flown, stop, begin, 0.0)
+    certificate = _certified(found.flight, f"without cables at t = {rest:.4g} s")
+    return replace(found, certificate=certificate)
+
+
+def _all_dropped(
+    flight: Flight, flown: TeamMotion, stop: PreparedStop, begin: float, delay: float
+) -> Remaining:
+    """Return the flight after a loss in which a team drops all its cables.
+
+    It begins ``begin`` [s] before a rest, and all stop as in ``_after_loss``. It is not certified
+    yet.
+    """
+    begin, reacts, planned = _way_to_rest(flight, stop, begin, delay)
     drones = planned[flown.name].drones
     team = flown.motion.team
     swarm = Swarm(team.drones, quadrotor=list(team.kinds))
@@ -162,7 +188,7 @@ def _all_dropped(flight: Flight, robot: str, time: float, stop: PreparedStop) ->
         flight=Flight(tuple(teams)),
         certificate=Certificate(drones.duration, ()),
         begin=begin,
-        reacts=DELAY,
+        reacts=delay,
         stops=reacts + stop.seconds,
         rest=stop.rest,
         starts=math.inf,
@@ -214,14 +240,17 @@ def _names_in_plan(
     )
 
 
-def _certified(flight: Flight, robot: str, time: float) -> Certificate:
-    """Return the certificate of a flight after a loss at a plan time [s], with all limits kept."""
+def _certified(flight: Flight, when: str) -> Certificate:
+    """Return the certificate of a flight, with all limits kept; its error says ``when``."""
     certificate = certify(flight)
     if not certificate.certified:
-        raise infeasible_error(
-            certificate, flight, f"after the loss of {robot} at t = {time:.4g} s"
-        )
+        raise infeasible_error(certificate, flight, when)
     return certificate
+
+
+def _when_lost(robot: str, time: float) -> str:
+    """Return words on the loss of a robot at a plan time [s]."""
+    return f"after the loss of {robot} at t = {time:.4g} s"
 
 
 def _after_loss(
@@ -265,7 +294,7 @@ def _after_loss(
     places = {name: remaining.drones, lost: remaining.lost}
     return Remaining(
         flight=held,
-        certificate=_certified(held, robot, time),
+        certificate=_certified(held, _when_lost(robot, time)),
         begin=begin,
         reacts=delay,
         stops=reacts + reaction.stops,

@@ -138,7 +138,7 @@ def test_where_legs_lean_there_is_no_way_back() -> None:
 
 @pytest.mark.slow
 def test_plans_go_back_to_their_start_also_where_drones_swing_about_their_places() -> None:
-    team = ho.Team(3, 2.4, tension=0.6, cable_friction=0.1)
+    team = ho.Team(3, 2.4, tension=0.6, cable_friction=0.05)
     swinging = ho.solve(ho.Hitch.spread(team, TRIANGLE, 1.2), ho.Settle(), team=team)
     for plan in (swinging, plan_of("carried")):
         player = Player(plan, 5.0 if plan is swinging else 0.6 * plan.duration)

@@ -226,7 +226,7 @@ def sagging(*, release: bool) -> ho.Plan:
 def test_where_no_chain_lands_all_cables_are_dropped(release: bool, tmp_path: Path) -> None:
     plan = sagging(release=release)
     if not release:
-        with pytest.raises(ho.InfeasibleError):
+        with pytest.raises(ho.InfeasibleError, match=r"tied landing\n.*team\.release: true"):
             plan.after_loss(1, 0.9888, "land")
         return
     found = after_loss_of(plan.flight, "1", 0.9888, "land")
@@ -308,10 +308,8 @@ def test_a_player_refuses_what_cannot_be_lost_and_flies_on() -> None:
     player.step(0.1)
 
 
-@pytest.mark.parametrize("density", [0.0, pytest.param(0.008, marks=pytest.mark.slow)])
-def test_a_stream_stops_holds_the_chain_and_lands(density: float) -> None:
-    plan = square(density)
-    limits = plan.motion.requirements.limits
+def stream_of(plan: ho.Plan) -> tuple[CommandedPlan, Callable[[float], Setpoints]]:
+    """Return a plan that is flown, and its steps, in which commands that wait are retried."""
     tables = {
         "land": AbortTable.unplanned(plan.flight, "land"),
         "abort": AbortTable.unplanned(plan.flight, "release_and_land"),
@@ -324,20 +322,67 @@ def test_a_stream_stops_holds_the_chain_and_lands(density: float) -> None:
             commanded.obey(retried)
         return commanded.step(seconds).setpoints
 
+    return commanded, step
+
+
+@pytest.mark.parametrize("density", [0.0, pytest.param(0.008, marks=pytest.mark.slow)])
+def test_a_stream_stops_holds_the_chain_and_lands(density: float) -> None:
+    plan = square(density)
+    commanded, step = stream_of(plan)
     series = flown_by(step, 0.8)
     for wrong, words in {"lose 9": "one of 0, 1", "lose": "command", "land 2": "command"}.items():
         with pytest.raises(ho.InputError, match=words):
             commanded.obey(wrong)
-    assert "at rest in" in commanded.obey("lose 3")
+    assert "at rest in" in commanded.obey("lose 1")
     series += flown_by(step, 3.0)
-    assert commanded.lost == "3"
+    assert commanded.lost == "1"
     with pytest.raises(ho.InfeasibleError, match="lost"):
         commanded.obey("back")
     assert "as soon as the chain is held" in commanded.obey("land")
     series += flown_by(step, 12.0 if density == 0.0 else 24.0)
-    check_continuous(series, limits)
+    check_continuous(series, plan.motion.requirements.limits)
     assert commanded.landed
-    assert np.max(np.abs(series[-1].positions[:6, 2])) < 1e-6
+    remaining = [0, 1, 4, 5, 6, 7]  # setpoints keep their order
+    assert np.max(np.abs(series[-1].positions[remaining, 2])) < 1e-6
+
+
+def test_a_stream_drops_all_cables_where_no_chain_lands() -> None:
+    plan = sagging(release=True)
+    commanded, step = stream_of(plan)
+    series = flown_by(step, 0.8)
+    commanded.obey("lose 1")
+    series += flown_by(step, 6.0)
+    assert "without cables" in commanded.obey("land")
+    series += flown_by(step, 5.0)
+    check_continuous(series, plan.motion.requirements.limits)
+    assert commanded.landed
+    assert np.max(np.abs(series[-1].positions[:, 2])) < 1e-6
+
+
+@pytest.mark.parametrize("release", [True, None])
+def test_a_stream_drops_all_cables_where_no_chain_is_certified(release: bool | None) -> None:
+    arc = [[-1.4, 0.0], [-0.6, 0.7], [0.6, 0.7], [1.4, 0.0]]
+    team = ho.Team(3, 1.9, topology="open", tension=0.3, release=release)
+    low = ho.Arena([-4.0, -4.0, 0.0], [4.0, 4.0, 1.7])  # nothing can rise
+    plan = ho.solve(ho.Hitch.balanced(team, arc, 1.5), ho.Hold(1.0), arena=low)
+    commanded, step = stream_of(plan)
+    flown_by(step, 0.3)
+    commanded.obey("lose 0")
+    while not commanded.resting:
+        commanded.step(STEP)
+    if not release:
+        with pytest.raises(ho.InfeasibleError, match="arena"):
+            commanded.obey("lose 0")
+        assert not commanded.lost
+        return
+    assert "drop their cables and hover" in commanded.obey("lose 0")
+    hovering = flown_by(step, 0.5)
+    commanded.obey("land")
+    series = hovering + flown_by(step, 5.0)
+    check_continuous(series, plan.motion.requirements.limits)
+    assert commanded.landed
+    landed = hovering[0].positions * [1.0, 1.0, 0.0]
+    np.testing.assert_allclose(series[-1].positions, landed, atol=1e-9)
 
 
 def test_the_operator_types_the_robot_that_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
