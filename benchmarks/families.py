@@ -35,7 +35,7 @@ from scipy.spatial.distance import pdist
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, most_common, parser
 from hitchopt import verify
-from hitchopt.motion.motion import HITCHED_STATE, Motion
+from hitchopt.motion.motion import Motion
 from problems.random_morph import (
     WILD_EDGE,
     WILD_SLACK,
@@ -775,7 +775,7 @@ def _bound_of(motion: Motion) -> float:
     bound = 0.0
     for phase in motion.phases:
         moved = [(motion.drones, limits.speed)]
-        if phase.state in HITCHED_STATE:
+        if phase.state.hitched:
             moved.append((motion.vertices, limits.vertex_speed))
         durations = [
             _straight_flights(

@@ -86,7 +86,7 @@ MUTATIONS = (
     Mutation("/motion/loads.py", "1.0 - np.cos(_rise_angle(team, mass, edges, tensions))", "0.0 * _rise_angle(team, mass, edges, tensions)", "carry_box", "the rim's strut dropped"),
     Mutation("friction.py", "np.exp(self.source.team.friction", "np.exp(-self.source.team.friction", "friction", "sign of friction"),
     Mutation("cables.py", "high.value - largest * friction", "high.value - 0.9 * largest * friction", "friction", "a factor of the range of tensions"),
-    Mutation("/motion/motion.py", "CableState.FREE})", "CableState.FREE, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
+    Mutation("/motion/cable_state.py", '"being tightened", linked=True, tied=True', '"being tightened"', "form_triangle", "clasped cables taken for free ones"),
     Mutation("chords.py", "spans.sign_after - spans.sign_before", "spans.sign_after + spans.sign_before", "form_triangle", "sign of crossings"),
     Mutation("support.py", "horizontal_acceleration.dot(inward) * height", "horizontal_acceleration.dot(inward) * 10.0 * height", "carry_box", "a factor of inertia leaning"),
     Mutation("support.py", "np.sum(inward * (centre[:2] - places), axis=-1)", "np.sum(inward * (places - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),

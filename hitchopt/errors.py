@@ -74,8 +74,9 @@ def short(value: object) -> str:
         value = array[0].item() if constant else array.tolist()
     if isinstance(value, float):
         return f"{value:.6g}"
-    if isinstance(value, str):
-        text = str(value)  # of an enumeration too
+    is_word = isinstance(value, OneLine) and type(value).__str__ is not object.__str__
+    if isinstance(value, str) or is_word:
+        text = str(value)  # of an enumeration, or of a record that is written as a word, too
         return repr(text if len(text) <= MAX_STRING else f"{text[: MAX_STRING - 1]}…")
     if isinstance(value, tuple | list):
         text = f"[{', '.join(map(short, value[: MAX_ENTRIES + 1]))}]"

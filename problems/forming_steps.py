@@ -17,7 +17,8 @@ import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion, Phase
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import States, states_at
 from hitchopt.view.style import COLOURS, INK, marker
 
@@ -83,9 +84,9 @@ def _steps(phases: Sequence[Phase]) -> list[Phase]:
     for phase in phases:
         if len(found) == len(STEPS):
             break
-        if phase.state is STEPS[len(found)]:
+        if phase.state == STEPS[len(found)]:
             found.append(phase)
-        elif found and phase.state is not found[-1].state:
+        elif found and phase.state != found[-1].state:
             found = []  # a swap that undoes a hitch leads to free cables
     return found
 
@@ -125,7 +126,7 @@ def _cables(team: Team, state: States) -> list[Array]:
 
 def _frame(axes: Any, motion: Motion) -> None:
     """Give all panels the same limits: those of the hitch and of the cables below it."""
-    formed = motion.spans(HITCHED_STATE)[0]
+    formed = motion.spans(lambda state: state.hitched)[0]
     places = formed.drones.coefficients[0, ..., 0]
     middle = np.mean(places, axis=0)
     reach = 1.02 * float(np.max(np.linalg.norm(places - middle, axis=1)))

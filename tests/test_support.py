@@ -25,7 +25,7 @@ from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.statics.tolerance import taut_times
 from hitchopt.motion.flight import TeamMotion
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import final_hitch
 from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.planners.enclosing import object_of
@@ -91,13 +91,13 @@ def carrying() -> Motion:
 
 def free() -> Motion:
     """Return the part of a triangle's motion on which its cables hang freely."""
-    return planned("form_triangle").motion.spans(frozenset({CableState.FREE}))[0]
+    return planned("form_triangle").motion.spans(lambda state: state.hangs)[0]
 
 
 def loosely_clasped() -> ho.Flight:
     """Return the flight that begins with the stage in which a tied triangle is tightened."""
     motion = planned("form_triangle").motion
-    (tightened,) = motion.spans(frozenset({CableState.TIGHTENING}))
+    (tightened,) = motion.spans(lambda state: state.tightening)
     return ho.Flight.of(tightened)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from hitchopt.checks.registry import QUANTITIES, REPORTS, RULES
 from hitchopt.checks.rule import CheckRule, FlightReport, ReportRule, WorstOverSpans
-from hitchopt.motion.motion import CableState
+from hitchopt.motion.cable_state import STATES
 
 SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
 
@@ -43,15 +43,15 @@ def write_check_page() -> str:
 
 
 def _facts_of_check(rule: CheckRule) -> dict[str, str]:
-    states = {state for evaluator in rule.evaluators for state in evaluator.states}
-    names = ", ".join(state.name.lower() for state in CableState if state in states)
+    states = [str(state) for state in STATES if any(e.applies(state) for e in rule.evaluators)]
+    names = "in any state" if len(states) == len(STATES) else ", ".join(states)
     exported = any(evaluator.exported for evaluator in rule.evaluators)
     limit = "" if rule.exported_limit is None else f", against {rule.exported_limit:g}"
     free_remedy = rule.free_remedy if rule.free_remedy != rule.remedy else ""
     return {
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
         "limit": _limit(rule),
-        "while cables are": "in any state" if states == set(CableState) else names,
+        "while cables are": names,
         "checked in exports": f"yes{limit}" if exported else "no",
         "what helps": rule.remedy + (f"; while cables hang: {free_remedy}" if free_remedy else ""),
     }

@@ -52,7 +52,7 @@ from hitchopt.checks.tracking import downwash_radius, slack_rules, touching_radi
 from hitchopt.hitch.pairs import DISTANCES, DistanceRule
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, same_object
-from hitchopt.motion.motion import CLASPED_STATES, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import Slab
 from hitchopt.objects.placing import REST_DRIFT
@@ -83,7 +83,7 @@ class Side:
     @property
     def is_taut(self) -> bool:
         """Whether its cables consist of taut parts."""
-        return bool(self.motion.taut[0])
+        return bool(self.motion.formed[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +147,8 @@ def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iter
     at_rest_besides = [padded(flown.motion, begin, end) for flown in teams]
     breaks = merged_breaks([motion.drones.breaks for motion in at_rest_besides])
     motions = [on_breaks_of(motion, breaks) for motion in at_rest_besides]
-    taut = [motion.taut for motion in motions]
-    clasped = [motion.in_states(CLASPED_STATES) for motion in motions]
+    taut = [motion.formed for motion in motions]
+    clasped = [motion.in_states(lambda state: state.clasped) for motion in motions]
     states = np.array([*taut, *clasped])
     changes = np.flatnonzero(np.any(states[:, 1:] != states[:, :-1], axis=0)) + 1
     sheets = [cable_sheets(motion) if motion.team.has_cables else None for motion in motions]

@@ -29,7 +29,7 @@ from hitchopt.checks.spans import (
 )
 from hitchopt.errors import EXCHANGED
 from hitchopt.motion.loads import held_pieces
-from hitchopt.motion.motion import TAUT_STATES, HoldBy, Motion
+from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import CONTACT_GAP
 from hitchopt.trajectory.enclosed import Bound, Enclosed
@@ -143,7 +143,7 @@ def _sagging_points(spans: Parts) -> tuple[Array, Array]:
 def height_above_floor(motion: Motion) -> float:
     """Return the smallest height [m] of drones and taut cables above the floor at any time."""
     heights = [motion.drones.coefficients[:, :, 2]]
-    if np.all(motion.taut):
+    if np.all(motion.formed):
         for spans in Parts.of(motion):
             points, sag = _sagging_points(spans)
             heights.append(points[:, :, 2] - sag[..., None])
@@ -238,8 +238,10 @@ ARENA = CheckRule(
     lambda motion: None if motion.requirements.arena is None else 0.0,
     (
         Evaluator(WorstOverSpans(Drones, drone_wall_gap, "min", magnitude), exported=True),
-        Evaluator(WorstOverSpans(Parts, _part_wall_gap, "min", magnitude), TAUT_STATES),
-        Evaluator(_object_wall_gap, TAUT_STATES),
+        Evaluator(
+            WorstOverSpans(Parts, _part_wall_gap, "min", magnitude), lambda state: state.hitched
+        ),
+        Evaluator(_object_wall_gap, lambda state: state.hitched),
     ),
     ARENA_REMEDY,
     remedy_at=_arena_remedy,

@@ -3,8 +3,8 @@
 Checks within a team and between teams compare them (``checks.distances``).
 
 - Taut cables are straight between drones, contacts and vertices (``spans.cable_parts``).
-- A cable that hangs, or lies on the ground (CableState.GROUND), is in the vertical sheet below its
-  chord, no deeper than a cable that leads straight down and up again.
+- A cable that hangs, or lies on the ground, is in the vertical sheet below its chord, no
+  deeper than a cable that leads straight down and up again.
 - A cable that is clasped or tightened, or the reverse, or loose after a loss, is somewhere between
   its chord and its route over the clasps: in the vertical region below the hull of both.
   Its clasps are near the middles of the pairs of drones that turn about each other, or near the
@@ -24,15 +24,13 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.spans import cable_names, cable_parts, cached, part_names
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices, true_runs
 
 Flags = NDArray[np.bool_]
-
-LOOSE = frozenset({CableState.LOOSE})
 
 PLAN_AXES = np.array([1.0, 1.0, 0.0])[:, None]  # Factors of coordinates, seen from above
 
@@ -131,12 +129,12 @@ def cable_sheets(motion: Motion) -> CableSheets:
     six corners: both drones, and two positions of both clasps.
     """
     bottoms = _bottoms(motion)
-    clasped = motion.in_states(CLASPED_STATES)
+    clasped = motion.in_states(lambda state: state.clasped)
     if not np.any(clasped):
         chords = cable_ends(motion.drones.coefficients)
         return CableSheets(np.concatenate([chords, bottoms], axis=2), 2, clasped)
     drones, vertices = same_degree(motion.drones.coefficients, motion.vertices.coefficients)
-    turning = motion.in_states(frozenset({CableState.CLASPING}))[:, None, None, None]
+    turning = motion.in_states(lambda state: state.clasping)[:, None, None, None]
     clasps = np.where(turning, _middles(motion, drones), vertices)
     taut = _taut_clasps(motion, clasps, clasped)
     outlines = clasped_outlines(motion.team.layout, drones, clasps, taut)
@@ -153,7 +151,7 @@ def _bottoms(motion: Motion) -> Array:
     r = motion.drones.coefficients[:, 1::2]
     bottoms = np.repeat(0.5 * (q + r)[:, :, None], 2, axis=2)
     bottoms[:, :, :, 2] -= 0.5 * motion.team.cable_length[:, None, None]
-    loose = motion.in_states(LOOSE)
+    loose = motion.in_states(lambda state: state.loose)
     if np.any(loose):
         level = Enclosed((r - q)[loose]).xy.norm_lower.value
         shallower = 0.5 * motion.team.cable_length - hanging_depth(motion.team.cable_length, level)
@@ -209,7 +207,7 @@ def _taut_clasps(motion: Motion, clasps: Array, clasped: Flags) -> Array:
     """
     taut = clasps.copy()
     vertices = motion.vertices.coefficients
-    for first, last in true_runs(clasped & ~motion.in_states(LOOSE)):
+    for first, last in true_runs(clasped & ~motion.in_states(lambda state: state.loose)):
         if first > 0 and motion.formed[first - 1]:
             taut[first:last] = vertices[first - 1, ..., -1:]
         elif last < len(clasped) and motion.formed[last]:

@@ -6,8 +6,6 @@ and do not trust the names of phases.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from hitchopt.checks.cables import LENGTH_LIMIT
@@ -17,7 +15,7 @@ from hitchopt.checks.hanging import above_ground
 from hitchopt.checks.spans import clasped_pairs, edge_vectors, leg_vectors, pair_of
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch.forces import cable_of, sag_factors
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Indices
 
@@ -39,20 +37,22 @@ PROBES = np.linspace(0.0, 1.0, 9)
 def contradictions(motion: Motion) -> Indices:
     """Return the cables and pairs that contradict the state of a motion with a single state.
 
-    Without a hitch, legs are zero, and so are tensions unless cables are tightened. Other rules are
-    those of ``CONTRADICTING_CABLES``, by state, and of clasping pairs.
+    Without a hitch, legs are zero, and so are tensions unless cables are tightened. Cables on the
+    ground, tightened cables and clasping pairs have rules of their own.
     """
     state = motion.phases[0].state
     wrong = np.zeros(motion.team.robots, dtype=np.bool_)
-    if not motion.taut[0]:
+    if not motion.formed[0]:
         wrong = _differ_from_zero(motion, motion.legs)
     if not motion.pulling[0]:
         wrong |= _differ_from_zero(motion, motion.tensions, motion.pulls)
-    if state in CONTRADICTING_CABLES:
-        wrong = wrong | CONTRADICTING_CABLES[state](motion)
+    if state.on_ground:
+        wrong = wrong | _off_ground(motion)
+    if state.tightening:
+        wrong = wrong | _not_tightening(motion)
     cables = np.flatnonzero(wrong)
     items = cables * (motion.team.robots + 1)  # as pairs of a cable with itself
-    if state is CableState.CLASPING:
+    if state.clasping:
         items = np.concatenate([items, _wrong_clasping_pairs(motion)])
     return np.unique(items)
 
@@ -91,13 +91,6 @@ def _detour(motion: Motion) -> float:
     shares = dot(vertices - start, along) / np.maximum(dot(along, along), TINY)
     nearest = start + np.clip(shares, 0.0, 1.0)[..., None] * along
     return float(np.max(length(vertices - nearest)))
-
-
-CONTRADICTING_CABLES: dict[CableState, Callable[[Motion], Flags]] = {
-    CableState.GROUND: _off_ground,
-    CableState.TIGHTENING: _not_tightening,
-}
-"""Functions that return the cables (n,) which contradict a state."""
 
 
 def _wrong_clasping_pairs(motion: Motion) -> Indices:

@@ -31,7 +31,7 @@ from hitchopt.checks.spans import (
 )
 from hitchopt.geometry.vectors import length
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
-from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
@@ -153,7 +153,10 @@ def _size(motion: Motion) -> float:
 
 
 LENGTH_ERROR = Evaluator(
-    WorstOverSpans(Cables, _length_error, "max"), TAUT_STATES, True, (Cables.excess, Cables.sag)
+    WorstOverSpans(Cables, _length_error, "max"),
+    lambda state: state.hitched,
+    True,
+    (Cables.excess, Cables.sag),
 )
 
 CABLE_LENGTH = CheckRule(
@@ -163,7 +166,7 @@ CABLE_LENGTH = CheckRule(
     LENGTH_LIMIT,
     (
         LENGTH_ERROR,
-        Evaluator(WorstOverSpans(Cables, _shortfall, "max"), frozenset({CableState.TIGHTENING})),
+        Evaluator(WorstOverSpans(Cables, _shortfall, "max"), lambda state: state.tightening),
     ),
     free_remedy="use a longer cable",
     ease="length",
@@ -181,7 +184,13 @@ SPAN = CheckRule(
     "ratio",
     "max",
     1.0,
-    (Evaluator(WorstOverSpans(Cables, _span_ratio, "max", _size), FREE_STATES, exported=True),),
+    (
+        Evaluator(
+            WorstOverSpans(Cables, _span_ratio, "max", _size),
+            lambda state: state.slack,
+            exported=True,
+        ),
+    ),
     "use a longer cable",
     ease="length",
     group="cables",
@@ -213,7 +222,7 @@ def _worst_tension(motion: Motion, _: float) -> WorstCase:
 def _tension_ranges(motion: Motion) -> Array:
     """Return the smallest and the largest admissible tensions (2, pieces, n) [N]."""
     smallest, largest = np.moveaxis(stated_tensions(motion), -1, 0)
-    if not np.all(motion.taut):  # ramps are next to spans without a hitch
+    if not np.all(motion.formed):  # ramps are next to spans without a hitch
         ramps = _ramps(motion)
         largest = np.where(ramps, smallest, largest)
         smallest = np.where(ramps, 0.0, smallest)
@@ -288,7 +297,7 @@ def _end_deviation(motion: Motion) -> WorstCase:
     """
     ranged = np.concatenate([[-1], ranged_phases(motion), [-1]])  # with none before and after
     holding = np.pad(motion.holding, 1, mode="edge")
-    states_range = (ranged[1:-1] >= 0) & motion.taut
+    states_range = (ranged[1:-1] >= 0) & motion.formed
     errors = np.abs(motion.tensions.coefficients[..., [0, -1]] - motion.team.tension[:, None])
     deviations = np.zeros((motion.drones.pieces + 1, motion.team.robots))
     for end, neighbour in ((0, slice(0, -2)), (1, slice(2, None))):
@@ -305,11 +314,11 @@ def _ramps(motion: Motion) -> Mask:
 
     The mask is (pieces, n). Cables are on a ramp, too, while they are tightened.
     """
-    resting = motion.taut
+    resting = motion.formed
     for curve in (motion.drones, motion.vertices):
         travel = np.max(np.ptp(curve.coefficients, axis=-1), axis=(1, 2))
         resting = resting & (travel <= REST_DRIFT)
-    unhitched = ~motion.taut
+    unhitched = ~motion.formed
     smallest = stated_tensions(motion)[..., 0]
     tensions = motion.tensions.coefficients
     low_at_start = smallest - tensions[..., 0] > TENSION_LIMIT
@@ -317,7 +326,7 @@ def _ramps(motion: Motion) -> Mask:
     rising = _rising(resting, unhitched, low_at_start, low_at_end)
     # A tension that falls rises backward in time.
     falling = _rising(resting[::-1], unhitched[::-1], low_at_end[::-1], low_at_start[::-1])[::-1]
-    tightened = motion.in_states(frozenset({CableState.TIGHTENING}))
+    tightened = motion.in_states(lambda state: state.tightening)
     return rising | falling | tightened[:, None]
 
 
@@ -343,7 +352,9 @@ def _rising(resting: Mask, unhitched: Mask, low_at_start: Mask, low_at_end: Mask
 
 
 JUMPS_AND_RANGES = Evaluator(
-    _worst_tension, FREE_STATES | TAUT_STATES, formulas=(_pull_jump, _thrust_jump, _out_of_range)
+    _worst_tension,
+    lambda state: state.has_cables,
+    formulas=(_pull_jump, _thrust_jump, _out_of_range),
 )
 
 TENSION = CheckRule(

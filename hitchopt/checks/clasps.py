@@ -37,7 +37,7 @@ from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
-from hitchopt.motion.motion import HITCHED_STATE, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -459,7 +459,7 @@ EQUILIBRIUM = CheckRule(
     "ratio",
     "max",
     BALANCE_LIMIT,
-    (Evaluator(_worst_residual, HITCHED_STATE, formulas=FORMULAS),),
+    (Evaluator(_worst_residual, lambda state: state.hitched, formulas=FORMULAS),),
     remedy_at=_balance_remedy,
     group="forces",
     bodies=(("clasps",),),

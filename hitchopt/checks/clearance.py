@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from operator import eq
 from typing import Any
 
 import numpy as np
 
 from hitchopt.checks.bodies import (
-    LOOSE,
     Bodies,
     cable_ends,
     cable_sheets,
@@ -61,14 +61,7 @@ from hitchopt.checks.solids import (
 from hitchopt.checks.spans import cable_names, phase_parts
 from hitchopt.hitch.pairs import CABLE, DISTANCES, TautBodies
 from hitchopt.motion.loads import RIM_CUT, RIM_REMEDY, held_pieces
-from hitchopt.motion.motion import (
-    CLASPED_STATES,
-    FREE_STATES,
-    TAUT_STATES,
-    CableState,
-    HoldBy,
-    Motion,
-)
+from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, section_gap, surface_below
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -118,14 +111,15 @@ def _drones_and_clasped(motion: Motion) -> Iterator[Moving]:
     turns = np.zeros((layout.robots, 2 * layout.robots), dtype=np.bool_)
     turns[layout.ahead, 2 * layout.behind + 1] = True
     turns[layout.behind, 2 * layout.ahead] = True
-    for state in sorted(CLASPED_STATES & motion.cable_states):
-        excepted = turns if state is CableState.CLASPING else np.zeros_like(turns)
+    clasped = [state for state in motion.cable_states if state.clasped]
+    for state in sorted(clasped, key=str):
+        excepted = turns if state.clasping else np.zeros_like(turns)
 
         def counts(cable: Indices, drone: Indices, excepted: Flags = excepted) -> Flags:
             return np.asarray((drone // 2 != cable) & ~excepted[cable, drone])
 
-        regions = replace(clasped_cables(motion), pieces=motion.in_states(frozenset({state})))
-        exact = {"tolerance": None} if state is CableState.LOOSE else {}
+        regions = replace(clasped_cables(motion), pieces=motion.in_states(partial(eq, state)))
+        exact = {"tolerance": None} if state.loose else {}
         yield Moving.between(motion, regions, drones_of(motion), allowed=counts, **exact)
 
 
@@ -136,26 +130,26 @@ def _loose_and_ground(motion: Motion) -> Iterator[Moving]:
     yield pairs_with_shape(motion, points, regions.names, GROUND, lowered_ground(motion))
 
 
-ON_GROUND = frozenset({CableState.GROUND})
-
 CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
     "m",
     "min",
     lambda motion: DISTANCES["cable_clearance"].limit(motion.requirements.separation),
     (
-        Evaluator(nearest(_drones_and_taut), TAUT_STATES, exported=True, formulas=(gap,)),
-        Evaluator(nearest(_drones_and_chords), ON_GROUND, exported=True),
+        Evaluator(
+            nearest(_drones_and_taut), lambda state: state.hitched, exported=True, formulas=(gap,)
+        ),
+        Evaluator(nearest(_drones_and_chords), lambda state: state.on_ground, exported=True),
         Evaluator(
             nearest(_drones_and_hanging),
-            FREE_STATES - ON_GROUND - LOOSE,
+            lambda state: state.hangs,
             exported=True,
             formulas=(chain_distance,),
         ),
-        Evaluator(nearest(_loose_and_ground), LOOSE, exported=True),
+        Evaluator(nearest(_loose_and_ground), lambda state: state.loose, exported=True),
         Evaluator(
             nearest(_drones_and_clasped),
-            FREE_STATES | TAUT_STATES,
+            lambda state: state.has_cables,
             formulas=(upright_distance,),
         ),
     ),
@@ -320,7 +314,7 @@ def _hanging_and_objects(motion: Motion) -> Iterator[Moving]:
     Horizontally, a cable is on its chord; a hanging one may also pass above an object.
     """
     for part in phase_parts(motion):
-        is_on_chord = part.phase.state in ON_GROUND
+        is_on_chord = part.phase.state.on_ground
         cables = cables_and_drones(part.motion)
         ends = Enclosed(cables.first)
         options: dict[str, Any] = {
@@ -346,7 +340,7 @@ def _hanging_and_objects(motion: Motion) -> Iterator[Moving]:
 
 def _clasped_and_objects(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of objects and cables that are being clasped or tightened."""
-    if not motion.cable_states & CLASPED_STATES:
+    if not any(state.clasped for state in motion.cable_states):
         return
     names = cable_names(motion)
     sheets = cable_sheets(motion)
@@ -465,15 +459,17 @@ OBJECT_CLEARANCE = CheckRule(
         else None
     ),
     (
-        Evaluator(nearest(_taut_and_objects), TAUT_STATES, exported=True, formulas=(gap,)),
-        Evaluator(nearest(moving_object_pairs), TAUT_STATES),
+        Evaluator(
+            nearest(_taut_and_objects), lambda state: state.hitched, exported=True, formulas=(gap,)
+        ),
+        Evaluator(nearest(moving_object_pairs), lambda state: state.hitched),
         Evaluator(
             nearest(_hanging_and_objects),
-            FREE_STATES,
+            lambda state: state.slack,
             exported=True,
             formulas=(beside_or_above,),
         ),
-        Evaluator(nearest(_clasped_and_objects), FREE_STATES | TAUT_STATES),
+        Evaluator(nearest(_clasped_and_objects), lambda state: state.has_cables),
     ),
     "fly higher over objects or farther away, lift the held one higher, use shorter cables, place "
     "it higher, or allow a smaller separation.object",

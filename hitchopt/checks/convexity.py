@@ -11,7 +11,7 @@ from hitchopt.checks.clasps import clasp_names
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import MotionSpans, cached, edge_vectors
 from hitchopt.geometry.vectors import turn
-from hitchopt.motion.motion import HITCHED_STATE, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
@@ -99,7 +99,7 @@ CONVEXITY = CheckRule(
     "deg",
     "min",
     0.0,
-    (Evaluator(_smallest_angle, HITCHED_STATE, formulas=(_exterior,)),),
+    (Evaluator(_smallest_angle, lambda state: state.hitched, formulas=(_exterior,)),),
     "use an intermediate polygon, in two morphs",
     group="cables",
     bodies=(("clasps",),),

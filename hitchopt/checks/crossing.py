@@ -26,13 +26,7 @@ from hitchopt.checks.spans import cable_names, clasped_pairs, pair_of, phase_par
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
 from hitchopt.hitch.pairs import DISTANCES, TautBodies
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.motion import (
-    CLASPED_STATES,
-    FREE_STATES,
-    TAUT_STATES,
-    UNLINKED_STATES,
-    Motion,
-)
+from hitchopt.motion.motion import Motion
 from hitchopt.values import Indices
 
 
@@ -59,7 +53,7 @@ def _hanging_cables(motion: Motion) -> Iterator[Moving]:
     """
     for part in phase_parts(motion):
         chords = Bodies(cable_ends(plan_points(part.motion)), cable_names(motion))
-        is_linked = part.phase.state not in UNLINKED_STATES
+        is_linked = part.phase.state.linked
         allowed = partial(_unclasped, motion.team.layout) if is_linked else None
         yield Moving.between(part.motion, chords, allowed=allowed)
 
@@ -71,7 +65,7 @@ def _unclasped(layout: Layout, first: Indices, second: Indices) -> Flags:
 
 def _clasped_cables(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of cables that share no clasp while cables are clasped or tightened."""
-    if not motion.cable_states & CLASPED_STATES:
+    if not any(state.clasped for state in motion.cable_states):
         return
     regions = clasped_cables(motion)
     corners = regions.outline
@@ -90,9 +84,9 @@ CROSSING = CheckRule(
     "min",
     lambda motion: DISTANCES["crossing"].limit(motion.requirements.separation),
     (
-        Evaluator(nearest(_taut_parts), TAUT_STATES, formulas=(gap,)),
-        Evaluator(nearest(_hanging_cables), FREE_STATES, exported=True),
-        Evaluator(nearest(_clasped_cables), FREE_STATES | TAUT_STATES),
+        Evaluator(nearest(_taut_parts), lambda state: state.hitched, formulas=(gap,)),
+        Evaluator(nearest(_hanging_cables), lambda state: state.slack, exported=True),
+        Evaluator(nearest(_clasped_cables), lambda state: state.has_cables),
     ),
     "use a shorter cable or a larger polygon, or lower separation.crossing",
     "place the robots farther apart, or lower separation.crossing",

@@ -7,7 +7,7 @@ does not prove it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -17,7 +17,7 @@ from hitchopt.checks.drones import Drones, Points
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
 from hitchopt.checks.spans import MotionSpans, leg_vectors
 from hitchopt.errors import InputError, OneLine
-from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.trajectory.enclosed import Angle, Bound, Enclosed
 from hitchopt.values import ByValue, Indices, check_instance, line, sequence
@@ -35,7 +35,7 @@ REMEDY = "change the steps, or the limit of this rule"
 class RuleSpans(OneLine, MotionSpans):
     """Spans of items that rules are evaluated for."""
 
-    states: ClassVar[Set[CableState]]  # States of cables in which the items exist
+    of_hitch: ClassVar[bool] = False  # Whether the items exist only while the hitch does
 
     def _parts(self) -> Iterator[str]:
         yield f"{len(self)} spans"
@@ -46,8 +46,6 @@ class DroneSpans(RuleSpans, Drones):
 
     ``thrust`` is their thrust [N], a vector, and ``load`` minus the force of the cable [N].
     """
-
-    states = frozenset(CableState)
 
     @property
     def position(self) -> Enclosed:
@@ -68,7 +66,7 @@ class DroneSpans(RuleSpans, Drones):
 class VertexSpans(RuleSpans, Points):
     """Spans of the hitch's vertices, while it exists."""
 
-    states = HITCHED_STATE
+    of_hitch = True
 
     @property
     def position(self) -> Enclosed:
@@ -89,7 +87,7 @@ class VertexSpans(RuleSpans, Points):
 class ClaspSpans(RuleSpans):
     """Spans of clasps, the vertices at which two cables meet, while the hitch exists."""
 
-    states = HITCHED_STATE
+    of_hitch = True
     names = staticmethod(clasp_names)
 
     @property
@@ -168,7 +166,7 @@ class Rule(ByValue, Generic[S]):
     def check_rule(self) -> CheckRule:
         """The check rule with which certificates evaluate it."""
         worst = WorstOverSpans(self.over, self._bound, self.sense)
-        evaluators = (Evaluator(worst, self.over.states),)
+        evaluators = (Evaluator(worst, lambda state: state.hitched or not self.over.of_hitch),)
         return CheckRule(
             self.name, self.unit, self.sense, self.limit, evaluators, self.remedy, group=CUSTOM
         )

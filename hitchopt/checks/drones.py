@@ -21,7 +21,7 @@ from hitchopt.checks.spans import (
     magnitude,
     rate,
 )
-from hitchopt.motion.motion import HITCHED_STATE, TAUT_STATES, CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.jets import ORDER, Jet
@@ -170,7 +170,7 @@ def _rate_rule(
     """Return the rule that compares the norm of a derivative with ``Limits.with_reserve.name``."""
     evaluator = Evaluator(
         WorstOverSpans(over, partial(_norm, order=order), "max", 0.0),
-        states=HITCHED_STATE if over is Points else frozenset(CableState),
+        applies=lambda state: state.hitched or over is not Points,
         exported=order <= 2 and over is Drones,
     )
     return CheckRule(
@@ -314,7 +314,7 @@ LEGS = CheckRule(
     "m",
     "min",
     lambda motion: motion.requirements.limits.leg,
-    (Evaluator(WorstOverSpans(Legs, _length, "min", magnitude), TAUT_STATES),),
+    (Evaluator(WorstOverSpans(Legs, _length, "min", magnitude), lambda state: state.hitched),),
     "use a longer cable, a smaller polygon, or a smaller limits.leg",
     ease="length",
     group="cables",

@@ -41,7 +41,7 @@ from hitchopt.hitch.hysteresis import held_vertices
 from hitchopt.hitch.requirements import Arena, Requirements
 from hitchopt.hitch.rest_errors import planned_rest
 from hitchopt.hitch.team import Team
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import TAUT_RATIO, states_at
 from hitchopt.values import Array, ByValue, true_runs
 
@@ -67,8 +67,6 @@ DECIMALS = 9
 """Decimals of planned states [m], [N]: the same motion at another time differs by rounding only."""
 
 MAX_COURSES = 64  # Number of courses whose vertices are stored
-
-HITCHED = frozenset({CableState.HITCHED})
 
 TINY = 1e-12  # Smallest divisor
 
@@ -179,7 +177,7 @@ def _is_free(motion: Motion) -> Flags:
     """Return on which pieces (pieces,) there is a taut hitch that holds nothing."""
     least = np.min(motion.tensions.coefficients, axis=-1)
     is_taut = np.all(least >= TAUT_RATIO * motion.team.tension, axis=1)
-    return np.asarray(motion.in_states(HITCHED) & ~motion.holding & is_taut)
+    return np.asarray(motion.formed & ~motion.holding & is_taut)
 
 
 def _largest_shift(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:

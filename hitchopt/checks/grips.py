@@ -31,7 +31,7 @@ from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.holding import YawTerms, least_stiffness_of_turn
 from hitchopt.hitch.twists import bend
 from hitchopt.motion.loads import held_pieces, tautness
-from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, TAUT_STATES, HoldBy, Motion
+from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.objects import Section, SolidObject
 from hitchopt.objects.placing import in_frame
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval
@@ -232,7 +232,7 @@ GRIP = CheckRule(
     "ratio",
     "min",
     lambda motion: GRIP_LIMIT if gripped_objects(motion) else None,
-    (Evaluator(_smallest(slip_ratio), TAUT_STATES | FREE_STATES, formulas=FORMULAS),),
+    (Evaluator(_smallest(slip_ratio), lambda state: state.has_cables, formulas=FORMULAS),),
     "lower the object's mass, raise the tension, or use rougher cables",
     whole=True,  # relative to the start of holds
     group="forces",
@@ -417,7 +417,7 @@ YAW = CheckRule(
     "N·m",
     "min",
     _yaw_limit,
-    (Evaluator(_smallest(yaw_stiffness), HITCHED_STATE, formulas=(yaw_stiffness,)),),
+    (Evaluator(_smallest(yaw_stiffness), lambda state: state.hitched, formulas=(yaw_stiffness,)),),
     "use longer cables, or give the object rounder corners",
     group="forces",
     bodies=(("held",),),

@@ -36,25 +36,13 @@ from hitchopt.checks.spans import (
 )
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
-from hitchopt.motion.motion import (
-    CLASPED_STATES,
-    FREE_STATES,
-    JOINT,
-    PULLING_STATES,
-    TAUT_STATES,
-    UNLINKED_STATES,
-    CableState,
-    Motion,
-    Phase,
-)
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import JOINT, Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
 MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
 JUMP_UNITS = "m", "m/s", "m/s²"  # Units of jumps of positions, velocities and accelerations
-
-TIED_STATES = CLASPED_STATES - {CableState.CLASPING}
-"""States without a hitch in which a plan of a tied team may begin."""
 
 MAX_NAMED = 12  # Maximum number of pairs in ``where``
 
@@ -68,9 +56,10 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     if motion.requirements.objects:
         curves.append((motion.poses, tuple(motion.requirements.objects)))
     team = motion.team
-    curves += [(span.vertices, team.point_names) for span in motion.spans(PULLING_STATES)]
-    legs = [span.legs.reshaped(-1, 1) for span in motion.spans(TAUT_STATES)]
-    curves += [(curve, team.leg_names) for curve in legs]
+    pulling = motion.spans(lambda state: state.pulls)
+    taut = motion.spans(lambda state: state.hitched)
+    curves += [(span.vertices, team.point_names) for span in pulling]
+    curves += [(span.legs.reshaped(-1, 1), team.leg_names) for span in taut]
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for curve, names in curves:
         for jumps, of in zip(_jumps(curve, position_margin(motion)), JUMP_UNITS, strict=True):
@@ -173,13 +162,12 @@ def _contradictions(motion: Motion) -> Iterator[Contradiction]:
     for i, (state, parts) in enumerate(runs):
         first = parts[0]
         last = parts[-1]
-        is_hitched = state is CableState.HITCHED
         is_last = last.pieces.stop == motion.drones.pieces
-        if state is CableState.LOOSE and i > 0:  # plans begin with a loss
+        if state.loose and i > 0:  # plans begin with a loss
             start = float(first.motion.drones.breaks[0])
             yield Contradiction(first.phase, ties.pairs, start)
         yield from _contradictions_at_start(state, first, ties)
-        if is_hitched and is_last:  # loaded clasps and separated parts stay linked
+        if state.hitched and is_last:  # loaded clasps and separated parts stay linked
             continue
         pieces = slice(first.pieces.start, last.pieces.stop)
         span = motion.slice_pieces(
@@ -190,7 +178,7 @@ def _contradictions(motion: Motion) -> Iterator[Contradiction]:
 
 def _required_number(state: CableState) -> int | None:
     """Return the size of neighbours' crossing numbers in a state; None where it changes."""
-    return None if state is CableState.CLASPING else int(state not in UNLINKED_STATES)
+    return None if state.clasping else int(state.tied)
 
 
 def _contradictions_at_start(
@@ -228,11 +216,11 @@ def _contradicting_crossings(
     for index, (phase, _, motion) in enumerate(parts):
         selected = invalid & (part_of_crossing == index)
         yield Contradiction(phase, pairs[selected], crossings.time[selected])
-        if state is CableState.HITCHED:
+        if state.hitched:
             continue
-        compared = span if state is CableState.TIGHTENING else motion
+        compared = span if state.tightening else motion
         yield Contradiction(phase, contradictions(compared), float(motion.drones.breaks[0]))
-        if state not in (CableState.GROUND, CableState.LOOSE):  # there, all keep a distance
+        if state.hangs:  # in other states, all keep a distance
             drone, cable, time = drones_inside_hanging_cables(motion)
             yield Contradiction(phase, pair_of(layout, drone // 2, cable), time)
 
@@ -252,7 +240,7 @@ class Ties:
         first: 1 for neighbours.
         """
         pairs = np.sort(clasped_pairs(motion.team.layout))
-        is_tied = motion.formed[0] or motion.phases[0].state in TIED_STATES
+        is_tied = motion.in_states(lambda state: state.tied)[0]
         return cls(pairs, np.full(len(pairs), int(is_tied), dtype=np.intp))
 
 
@@ -260,8 +248,8 @@ INTERLACING = CheckRule(
     "interlacing",
     "1",
     "max",
-    lambda motion: None if motion.cable_states <= {CableState.HITCHED} else 0.0,
-    (Evaluator(_interlacing_errors, FREE_STATES | TAUT_STATES),),
+    lambda motion: None if all(state.hitched for state in motion.cable_states) else 0.0,
+    (Evaluator(_interlacing_errors, lambda state: state.has_cables),),
     "place the drones so that cables need not pass each other",
     whole=True,
     group="cables",

@@ -3,7 +3,7 @@
 While a hitch is taut, each of its robots may be lost with its cable (``hitchopt.hitch.losses``).
 Then its drones drop their ends of the cable and rise, and the two neighbouring drones at its clasps
 move to where the remaining cables are an open chain in balance. Without these clasps no cable is
-held: until then all are loose (``CableState.LOOSE``), as in the plan of the reaction. For every
+held: until then all are loose (``CableState.loose``), as in the plan of the reaction. For every
 instant, as if the plan had stopped there:
 
 - every drone may be off its plan by ``loss_displacement``, for which the tracking error allows;
@@ -43,7 +43,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.losses import Losses, displacements, places_after_loss
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import on_breaks_of
 from hitchopt.motion.states import TAUT_RATIO
 from hitchopt.trajectory import bernstein
@@ -515,7 +515,7 @@ def on_short_pieces(motion: Motion) -> Motion:
 
 def taut_runs(motion: Motion) -> list[Motion]:
     """Return the parts of a motion in which a hitch is tied and taut, and holds no object."""
-    pieces = motion.in_states(frozenset({CableState.HITCHED})) & ~motion.holding
+    pieces = motion.formed & ~motion.holding
     tensions = np.min(motion.tensions.coefficients, axis=-1)
     pieces &= np.all(tensions >= TAUT_RATIO * motion.team.tension, axis=1)
     return [motion.on_pieces(*run) for run in true_runs(pieces)]
@@ -556,7 +556,7 @@ def _survived(motion: Motion, _: float) -> WorstCase:
 def _displacement(motion: Motion, _: float) -> WorstCase:
     """Return the largest deviation of a drone after a loss [m]."""
     tensions = np.max(motion.tensions.coefficients, axis=-1)
-    taut = motion.in_states(frozenset({CableState.HITCHED}))[:, None]
+    taut = motion.formed[:, None]
     ratios = np.where(taut, tensions / motion.team.tension, 0.0)
     jumps = np.repeat(ratios, 2, axis=1) * displacements(motion.team)
     piece, drone = np.unravel_index(int(np.argmax(jumps)), jumps.shape)
@@ -574,7 +574,7 @@ LOSS_DISPLACEMENT = CheckRule(
     "m",
     "max",
     _if_survived(lambda motion: motion.requirements.with_reserve.position_error),
-    (Evaluator(_displacement, frozenset({CableState.HITCHED})),),
+    (Evaluator(_displacement, lambda state: state.hitched),),
     "lower team.tension, choose stiffer gains, or raise limits.tracking",
     ease="tension",
     group="distances",
@@ -589,7 +589,7 @@ SURVIVABLE = CheckRule(
     "1",
     "min",
     _if_survived(lambda _: 1.0),
-    (Evaluator(_survived, frozenset({CableState.HITCHED})),),
+    (Evaluator(_survived, lambda state: state.hitched),),
     "use shorter legs, a larger polygon or more altitude, or omit limits.survive",
     ease="length",
     group="timing",

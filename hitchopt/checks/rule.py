@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Generic, NamedTuple, TypeVar
 
@@ -20,8 +20,9 @@ from hitchopt.checks.certificate import (
 from hitchopt.checks.spans import MotionSpans, runs_of
 from hitchopt.hitch.pairs import Bodies
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.cable_state import StateTest
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
@@ -124,7 +125,7 @@ class WorstOverSpans(Generic[S]):
 
 @dataclass(frozen=True, eq=False)
 class Evaluator:
-    """Evaluate a check's quantity on each run of pieces with cables in some states.
+    """Evaluate a check's quantity on each run of pieces with cables in states to which it applies.
 
     ``evaluate`` takes the motion and the limit. If ``exported``, curves in exported files are
     checked as well. ``formulas`` is the code printed in the documentation, in addition to a formula
@@ -133,7 +134,7 @@ class Evaluator:
     """
 
     evaluate: Callable[[Motion, float], WorstCase]
-    states: Set[CableState] = frozenset(CableState)
+    applies: StateTest = lambda _state: True
     exported: bool = False
     formulas: tuple[object, ...] = ()
     bodies: tuple[Bodies, ...] = ()
@@ -145,9 +146,9 @@ def largest_error(gamma: float) -> float:
 
 
 class SpanResult(NamedTuple):
-    """The check of a time span in which cables are in one of ``states``, of kinds of bodies."""
+    """The check of a time span, of kinds of bodies; an evaluator ``applies`` to its states."""
 
-    states: Set[CableState]
+    applies: StateTest
     check: Check
     bodies: tuple[Bodies, ...] = ()
 
@@ -231,9 +232,8 @@ class CheckRule(Quantity):
 
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""
-        states = motion.cable_states
         for evaluator in self.evaluators:
-            if not states.isdisjoint(evaluator.states):
+            if any(map(evaluator.applies, motion.cable_states)):
                 return self.limit(motion) if callable(self.limit) else self.limit
         return None
 
@@ -252,18 +252,16 @@ class CheckRule(Quantity):
         if exported:
             limit *= self.exported_share
             limit = limit if self.exported_limit is None else self.exported_limit
-        states = motion.cable_states
         results = list[SpanResult]()
         with np.errstate(all="ignore"):  # coefficients may have any value: nan fails a check
             for evaluator in self.evaluators:
-                applicable = evaluator.states
-                if (exported and not evaluator.exported) or states.isdisjoint(applicable):
+                if exported and not evaluator.exported:
                     continue
-                spans = (motion,) if states <= applicable else runs_of(motion, applicable)
-                for span in spans:
-                    worst_case = evaluator.evaluate(span, limit)
+                states = frozenset(filter(evaluator.applies, motion.cable_states))
+                for span in runs_of(motion, states):
+                    check = evaluator.evaluate(span, limit).check(self, limit)
                     bodies = evaluator.bodies or self.bodies
-                    results.append(SpanResult(applicable, worst_case.check(self, limit), bodies))
+                    results.append(SpanResult(evaluator.applies, check, bodies))
         return tuple(results)
 
 

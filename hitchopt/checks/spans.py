@@ -17,9 +17,10 @@ from typing import Any, NamedTuple, Self, TypeVar, cast
 import numpy as np
 
 from hitchopt.hitch.team import Layout
+from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import reduce_constants
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Enclosed
@@ -74,8 +75,8 @@ def cached(value: F) -> F:
 
 @cached
 def runs_of(motion: Motion, states: Set[CableState]) -> tuple[Motion, ...]:
-    """Return ``Motion.spans``, the same for all rules."""
-    return motion.spans(states)
+    """Return ``Motion.spans`` in some states, the same for all rules."""
+    return motion.spans(lambda state: state in states)
 
 
 @cached

@@ -30,7 +30,7 @@ from hitchopt.checks.spans import ROUNDING, magnitude
 from hitchopt.geometry.vectors import cross, left_of, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.loads import held_pieces, rim_drop
-from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, HoldBy, Motion
+from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_frame, surface_below
 from hitchopt.trajectory.enclosed import Bound, Enclosed
@@ -235,7 +235,7 @@ SUPPORT = CheckRule(
     "m",
     "min",
     lambda motion: 0.0 if motion.requirements.objects else None,
-    (Evaluator(_force_lines, TAUT_STATES | FREE_STATES, formulas=(force_line,)),),
+    (Evaluator(_force_lines, lambda state: state.has_cables, formulas=(force_line,)),),
     "carry it more slowly, or hold it farther out or closer to its centre of mass",
     whole=True,
     group="forces",

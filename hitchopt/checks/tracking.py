@@ -31,7 +31,7 @@ from functools import partial
 import numpy as np
 
 from hitchopt.checks.arena import ARENA, drone_wall_gap
-from hitchopt.checks.bodies import LOOSE, drones_of
+from hitchopt.checks.bodies import drones_of
 from hitchopt.checks.cables import SPAN
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import CABLE_CLEARANCE, OBJECT_CLEARANCE
@@ -44,7 +44,8 @@ from hitchopt.checks.separation import SEPARATION
 from hitchopt.checks.spans import ROUNDING, cable_names, phase_parts
 from hitchopt.geometry.vectors import shortest_offset, unit
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, CableState, Motion
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion
 from hitchopt.objects import Slab
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
@@ -112,10 +113,10 @@ def _slack_radii(motion: Motion, results: SpanResults, gamma: float) -> Iterator
         if rule is OBJECT_CLEARANCE and not is_limited:
             continue
         for result in results[rule]:
-            on_floor = rule is ARENA and result.states != TAUT_STATES
+            on_floor = rule is ARENA and result.applies(CableState.FREE)
             if on_floor or (rule in HANGING_CHECKS and _is_hanging(result)):
                 continue
-            hitched = not result.states <= FREE_STATES
+            hitched = result.applies(CableState.HITCHED)
             check = result.check
             radius = _slack(check) / approach(result.bodies, gamma, hitched=hitched)
             yield WorstCase(radius, check.time, check.where, binding=check.name)
@@ -140,7 +141,7 @@ def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
 
 def _span_radii(motion: Motion) -> Iterator[WorstCase]:
     """Yield the radii [m] with which free cables are as long as their chords."""
-    for span in motion.spans(FREE_STATES - LOOSE):
+    for span in motion.spans(lambda state: state.slack and not state.loose):
         tightest = worst(Drones.of(span), _excess, "min")
         cable = cable_names(span)[tightest.item // 2]
         radius = max(0.5 * tightest.worst, 0.0)
@@ -155,7 +156,7 @@ def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check
     limited = bool(motion.requirements.limits.tube.level)
     for rule in HANGING_CHECKS if limited else HANGING_CHECKS[:1]:
         hanging = [result for result in results[rule] if _is_hanging(result)]
-        spans = motion.spans(hanging[0].states) if hanging else ()
+        spans = motion.spans(hanging[0].applies) if hanging else ()
         for result, span in zip(hanging, spans, strict=True):
             if not limited or rule is not CABLE_CLEARANCE:
                 yield result.check, span
@@ -172,8 +173,7 @@ def _slack(check: Check) -> float:
 
 def _is_hanging(result: SpanResult) -> bool:
     """Return whether cables hang in a time span: neither taut nor replaced by their chords."""
-    others = ({CableState.GROUND}, LOOSE)
-    return result.states.isdisjoint(TAUT_STATES) and result.states not in others
+    return result.applies(CableState.FREE) and not result.applies(CableState.HITCHED)
 
 
 def _excess(spans: Drones) -> Bound:

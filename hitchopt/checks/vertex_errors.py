@@ -15,7 +15,7 @@ import numpy as np
 
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.hitch.rest_errors import KINDS, ErrorSizes, planned_rest, vertex_errors
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
 
@@ -41,7 +41,7 @@ def states_at_rests(motion: Motion) -> States | None:
     if not motion.team.has_cables:
         return None
     loaded = np.any(motion.load_share.coefficients != 0.0, axis=(1, 2))
-    empty = motion.in_states(frozenset({CableState.HITCHED})) & ~motion.holding & ~loaded
+    empty = motion.formed & ~motion.holding & ~loaded
     if not np.any(empty):
         return None
     breaks = motion.drones.breaks

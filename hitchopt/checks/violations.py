@@ -82,7 +82,7 @@ def _remedy(
         binding = replace(check, name=check.binding, binding="")
         return f"{_remedy(binding, flight, rules, at_start=at_start)}, or {rule.remedy}"
     phases = _phases_at(check, flight)
-    is_free = bool(phases) and not any(phase.formed for phase in phases)
+    is_free = bool(phases) and not any(phase.state.hitched for phase in phases)
     remedy = rule.free_remedy if is_free else ""
     if at_start and is_free and isinstance(rule, CheckRule):
         remedy = rule.start_remedy or remedy

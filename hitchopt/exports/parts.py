@@ -115,7 +115,8 @@ def _rests_of_teams(flight: Flight, time: float) -> Iterator[Rest]:
 def _is_taut(flight: Flight, time: float) -> bool:
     """Return whether all hitches are taut right before and after a time [s]."""
     phases = [phase for each in flight.teams for phase in each.motion.phases]
-    return all(phase.formed for phase in phases if phase.start - JOINT < time < phase.end + JOINT)
+    there = (phase for phase in phases if phase.start - JOINT < time < phase.end + JOINT)
+    return all(phase.state.hitched for phase in there)
 
 
 def _parts(task: ExportTask, cuts: Sequence[float]) -> list[ExportTask]:

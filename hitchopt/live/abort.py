@@ -32,8 +32,9 @@ from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
+from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.flight import REST_RATE, Flight, TeamMotion
-from hitchopt.motion.motion import JOINT, SHARE_TOLERANCE, CableState, Motion, Phase
+from hitchopt.motion.motion import JOINT, SHARE_TOLERANCE, Motion, Phase
 from hitchopt.motion.plan_file import flight_digest, read_plan, write_plan
 from hitchopt.motion.request import objects_at
 from hitchopt.motion.retiming import append_motion, on_clock, resting, truncated, with_last_poses
@@ -60,9 +61,6 @@ DEFAULT_INTERVAL = 2.0  # default interval of the entries of a table [s]
 # Candidate delays of the clock's stop [s]. The plan's own rests are candidates too: legs do not
 # lean there
 DELAYS = np.cumsum([0.0, *0.1 * 1.5 ** np.arange(7)])
-
-HANGING_STATES = frozenset({CableState.FREE, CableState.GROUND, CableState.NONE})
-"""States from which drones can go straight down."""
 
 # Checks that exclude rests while tensions change, or before the chords of a swap have met
 REST_CHECKS = ("tension", "interlacing")
@@ -279,8 +277,8 @@ class Aborts:
             before = next(phase for phase in phases if phase.end > rest - JOINT)
             after = next((phase for phase in phases if phase.end > rest + JOINT), before)
             last = before if ahead else after  # the phase in which the rest is reached
-            hangs = not {before.state, after.state}.isdisjoint(HANGING_STATES)
-            if not (_can_land(flown.motion, last, rest) or (hangs and not last.formed)):
+            hangs = not (before.state.linked and after.state.linked)
+            if not (_can_land(flown.motion, last, rest) or (hangs and not last.state.hitched)):
                 return False
         return True
 
@@ -354,8 +352,8 @@ def _can_land(motion: Motion, phase: Phase, time: float) -> bool:
 
     It can from free cables, and with a hitch that neither holds nor encloses an object.
     """
-    if phase.state is not CableState.HITCHED:
-        return phase.state in HANGING_STATES
+    if not phase.state.hitched:
+        return not phase.state.linked
     return phase.hold is None and not _encloses(motion, time)
 
 
@@ -365,7 +363,7 @@ def _free_before(flown: TeamMotion, time: float) -> Phase:
     Without cables, that is the phase at this time.
     """
     for phase in reversed(flown.motion.phases):
-        if phase.start < time + JOINT and phase.state in HANGING_STATES:
+        if phase.start < time + JOINT and not phase.state.linked:
             return phase
     cables = f"cables of {flown.name}" if flown.name else "cables"
     reason = f"back from t = {time:.4g} s: {cables} were never free before"
@@ -424,7 +422,7 @@ def _refusal(when: str, remedy: str = "abort earlier or later") -> InfeasibleErr
 
 def _with_landing(whole: Motion, *, untie: bool) -> Motion:
     """Return a plan at rest with a landing, after untying the hitch if ``untie`` is set."""
-    if not whole.phases[-1].formed:
+    if not whole.phases[-1].state.hitched:
         return _extended(whole, straight_down(whole))
     hitch = _hitch_at_end(whole)
     state = RestState(whole.team, hitch.drones, hitch, _turning_senses(whole))
@@ -483,7 +481,7 @@ def _turning_senses(whole: Motion) -> Array | None:
     """Return the senses in which pairs turned to form the hitch (clasps,): 1 if q rose first."""
     layout = whole.team.layout
     phases = whole.phases
-    tying = next((phase for phase in phases if phase.state is CableState.CLASPING), None)
+    tying = next((phase for phase in phases if phase.state.clasping), None)
     if tying is None:
         return None
     heights = whole.drones.at(0.5 * (tying.start + tying.end))[:, 2]

@@ -26,8 +26,9 @@ from hitchopt.hitch import Hitch, Swarm
 from hitchopt.hitch.losses import Losses
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import HOLD, Aborts
+from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.flight import Flight, TeamMotion, team_label
-from hitchopt.motion.motion import JOINT, CableState, Motion, Phase, concatenated
+from hitchopt.motion.motion import JOINT, Motion, Phase, concatenated
 from hitchopt.motion.retiming import padded, resting, shifted, slice_time
 from hitchopt.motion.states import fitted_hitch
 from hitchopt.planners.candidates import Candidate, Effort, first_certified

@@ -311,10 +311,10 @@ def _departures(pasts: Sequence[Motion], limits: Limits) -> Iterator[_Departure 
 
     A brake is the first of BRAKE_DURATIONS that keeps the limits at samples.
     """
-    free = [p for p in pasts if p.phases[-1].formed and p.phases[-1].hold is None]
+    free = [p for p in pasts if p.phases[-1].state.hitched and p.phases[-1].hold is None]
     for past in pasts:
         if past not in free:
-            reason = "an object is held" if past.phases[-1].formed else "there is no hitch"
+            reason = "an object is held" if past.phases[-1].state.hitched else "there is no hitch"
             yield f"at t = {past.duration:.4g} s {reason}"
     if not free:
         return

@@ -245,7 +245,7 @@ def _detour(motion: Motion, height: float, *, at_rest: bool) -> Motion | None:
     The team climbs and descends ``at_rest``, before and after the path, or on its way. None for
     motions with free cables or a held object, and for motions of several steps.
     """
-    if any((not (p.formed or p.hold) and motion.team.has_cables) or p.hold for p in motion.phases):
+    if any(phase.state.slack or phase.hold for phase in motion.phases):
         return None
     if motion.phases[0].step != motion.phases[-1].step:
         return None

@@ -20,7 +20,8 @@ from hitchopt.drones.controllers import Tube
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch import Swarm, Team
 from hitchopt.hitch.requirements import Arena, Requirements, Separation
-from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import JOINT, Motion, Phase
 from hitchopt.motion.retiming import (
     append_motion,
     on_breaks_of,

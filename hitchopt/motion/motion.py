@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
@@ -15,6 +15,7 @@ from hitchopt.errors import InputError, OneLine, StepPlace
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
+from hitchopt.motion.cable_state import CableState, StateTest
 from hitchopt.objects.placing import poses_of
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.bernstein import same_degree
@@ -28,45 +29,6 @@ TAKE_OFF = "take-off"  # Name of phases in which tying begins, up from the groun
 
 SETTLE = "settle"
 """Name of phases at the ends of steps in which vertices over-travel against friction."""
-
-
-class CableState(StrEnum):
-    """State of the cables in a phase; the certificate verifies it from the polynomials.
-
-    While cables are not hitched, vertices, legs and tensions have no meaning; while they are being
-    tightened or loose after a loss, vertices are possible positions of the clasps.
-
-    - ``GROUND``: cables lie at least partly on the ground; drones fly straight up or down.
-    - ``CLASPING``: drones of neighbouring cables turn about each other.
-    - ``LOOSE``: cables hold each other, and none is taut since another one was lost at the start.
-    """
-
-    NONE = "none"
-    GROUND = "on the ground"
-    FREE = "hanging free"
-    CLASPING = "clasping"
-    TIGHTENING = "being tightened"
-    LOOSE = "loose after a loss"
-    HITCHED = "hitched"
-
-
-HITCHED_STATE = frozenset({CableState.HITCHED})
-"""State in which the hitch exists: vertices, legs and tensions have a meaning."""
-
-TAUT_STATES = HITCHED_STATE
-"""States in which cables consist of taut parts, with a tension."""
-
-PULLING_STATES = TAUT_STATES | {CableState.TIGHTENING}
-"""States in which cables have planned tensions and pull drones toward ``pull_points``."""
-
-FREE_STATES = frozenset(CableState) - TAUT_STATES - {CableState.NONE}
-"""States of cables that are slack or lie on the ground."""
-
-UNLINKED_STATES = frozenset({CableState.GROUND, CableState.FREE})
-"""States in which no cables hold each other."""
-
-CLASPED_STATES = frozenset({CableState.CLASPING, CableState.TIGHTENING, CableState.LOOSE})
-"""States in which neighbouring cables may hold each other although no hitch exists."""
 
 
 class HoldBy(StrEnum):
@@ -114,11 +76,6 @@ class Phase(OneLine):
     state: CableState = CableState.HITCHED
     tension: tuple[float, float] | None = None
     hold: PhaseHold | None = None
-
-    @property
-    def formed(self) -> bool:
-        """Return whether the hitch exists."""
-        return self.state in HITCHED_STATE
 
     @property
     def place(self) -> StepPlace:
@@ -241,7 +198,7 @@ class Motion(OneLine):
                 )
         object.__setattr__(self, "load_share", _snapped(self.load_share))
         check_phases(self.phases, float(breaks[0]), float(breaks[-1]))
-        if any((phase.state == CableState.NONE) is self.team.has_cables for phase in self.phases):
+        if any(phase.state.has_cables is not self.team.has_cables for phase in self.phases):
             bound = "none without cables, another state with them"
             states = [str(phase.state) for phase in self.phases]
             raise InputError("phases.state", states, bound, "set the state of the cables")
@@ -372,25 +329,20 @@ class Motion(OneLine):
 
     @property
     def formed(self) -> NDArray[np.bool_]:
-        """(pieces,): whether the hitch exists on each piece."""
-        return self.in_states(HITCHED_STATE)
-
-    @property
-    def taut(self) -> NDArray[np.bool_]:
-        """(pieces,): whether cables consist of taut parts on each piece."""
-        return self.in_states(TAUT_STATES)
+        """(pieces,): whether the hitch exists, and cables are taut, on each piece."""
+        return self.in_states(lambda state: state.hitched)
 
     @property
     def pulling(self) -> NDArray[np.bool_]:
         """(pieces,): whether cables pull drones with planned tensions on each piece."""
-        return self.in_states(PULLING_STATES)
+        return self.in_states(lambda state: state.pulls)
 
-    def in_states(self, states: Set[CableState]) -> NDArray[np.bool_]:
-        """Return whether the cables are in one of the states on each piece (pieces,)."""
-        present = self.cable_states
-        if present <= states or present.isdisjoint(states):
-            return np.full(self.drones.pieces, present <= states)
-        return self.in_phases(lambda phase: phase.state in states)
+    def in_states(self, test: StateTest) -> NDArray[np.bool_]:
+        """Return whether the state of the cables passes a test on each piece (pieces,)."""
+        passes = {test(state) for state in self.cable_states}
+        if len(passes) == 1:
+            return np.full(self.drones.pieces, passes.pop())
+        return self.in_phases(lambda phase: test(phase.state))
 
     def in_phases(self, condition: Callable[[Phase], bool]) -> NDArray[np.bool_]:
         """Return whether the phase of each piece meets a condition (pieces,).
@@ -419,12 +371,12 @@ class Motion(OneLine):
         ends = np.array([phase.end for phase in self.phases[:-1]])
         return np.asarray(np.searchsorted(ends, middles))
 
-    def spans(self, states: Set[CableState]) -> tuple[Motion, ...]:
-        """Return the maximal runs of pieces on which the cables are in one of the states.
+    def spans(self, test: StateTest) -> tuple[Motion, ...]:
+        """Return the maximal runs of pieces on which the state of the cables passes a test.
 
         Each keeps its times and the phases that it overlaps.
         """
-        selected = self.in_states(states)
+        selected = self.in_states(test)
         if np.all(selected):  # phases may be shorter than any piece
             return (self,)
         return tuple(self.on_pieces(*run) for run in true_runs(selected))

@@ -9,10 +9,10 @@ Robots are in the order of the problem.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -24,6 +24,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
+from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
@@ -51,6 +52,8 @@ def encoded(value: Any) -> Any:
         value = value.vertices
     if isinstance(value, Swarm):
         value = {"drones": value.drones, "quadrotor": value.quadrotor}
+    elif isinstance(value, CableState):
+        value = value.word
     elif is_dataclass(value):
         values = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
         if isinstance(value, Team):
@@ -75,6 +78,9 @@ _hints = cache(get_type_hints)
 PLAIN_TYPES = {float: (float, int), int: (int,), str: (str,), bool: (bool,)}
 """Types of JSON values of plain types."""
 
+READERS: dict[Any, Callable[[Any], Any]] = {str: partial(line, ""), CableState: CableState.of}
+"""Functions that read values of types that are written as a line."""
+
 
 def decoded(kind: Any, value: Any) -> Any:
     """Return the value of a type from JSON values; constructors check records.
@@ -85,8 +91,8 @@ def decoded(kind: Any, value: Any) -> Any:
     arguments = get_args(kind)
     if kind in PLAIN_TYPES and type(value) not in PLAIN_TYPES[kind]:
         raise InputError("", value, f"of the type {kind.__name__}", REMEDY)
-    if kind is str:
-        return line("", value)
+    if kind in READERS:
+        return READERS[kind](value)
     if origin in (Union, UnionType):
         return _decoded_union(arguments, value)
     if origin is tuple:

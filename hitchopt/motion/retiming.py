@@ -11,7 +11,8 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.hitch.series import JET, chained
-from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, concatenated
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import JOINT, WAIT, Motion, Phase, concatenated
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
 from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, MIN_SPACING, on_breaks
@@ -212,7 +213,7 @@ def resting(
 
     if phase is None:
         phase = motion.phases[0 if first else -1]
-    if phase.state is CableState.CLASPING:
+    if phase.state.clasping:
         phase = replace(phase, state=CableState.FREE)
     return motion.map_curves(constant, [phase.retimed(0.0, seconds)])
 

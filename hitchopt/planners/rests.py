@@ -10,7 +10,8 @@ from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, StepPlace, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.task import RestState, StepPlan, StepTask, require_certified
 from hitchopt.trajectory import PiecewisePolynomial
@@ -59,7 +60,7 @@ def hover_motion(task: StepTask, duration: float) -> Motion:
     rest = PiecewisePolynomial.constant([0.0, duration], task.before.drones)
     motion = stage("parked", rest, team, task.requirements, task.index, CableState.GROUND)
     (phase,) = motion.phases
-    if phase.state is not CableState.FREE:
+    if not phase.state.hangs:
         return motion
     return replace(motion, phases=(replace(phase, name="hold"),))
 

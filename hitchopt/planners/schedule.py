@@ -111,7 +111,7 @@ class SampledPath:
         parts = np.repeat(ends, [outlines.shape[2] - 1, 1], axis=2)
         lowest = np.min(regions[..., 2], axis=-1)
         highest = np.max(regions[..., 2], axis=-1)
-        taut = motion.taut[self._pieces]
+        taut = motion.formed[self._pieces]
         is_taut = taut[:, None, None]
         heights_of_parts = np.sort(ends[..., 2], axis=-1)
         heights = np.where(is_taut, heights_of_parts, np.stack([lowest, highest], axis=-1))

@@ -20,7 +20,8 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, Phase, concatenated
 from hitchopt.planners.along import action_plan
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward

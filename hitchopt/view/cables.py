@@ -17,11 +17,8 @@ import numpy as np
 
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.motion.motion import (
-    HITCHED_STATE,
-    CableState,
-    Motion,
-)
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
 
@@ -42,7 +39,6 @@ MAX_BEND_SHARE = 0.2  # Maximum radius of a bend, as a fraction of the shortest 
 SLACK_TOLERANCE = 1e-4
 UP = np.array([0.0, 0.0, 1.0])
 MIN_LENGTH = 1e-9  # Minimum length of a span [m], since a chain's ends have no legs
-HOOKED_STATES = HITCHED_STATE | {CableState.TIGHTENING, CableState.LOOSE}
 
 
 def cable_curves(
@@ -105,7 +101,7 @@ def clasp_senses(motion: Motion) -> Array:
         return np.asarray(heights[:, 2 * layout.ahead] - heights[:, 2 * layout.behind + 1])
 
     for (before, start, end), (after, _, _) in pairwise(_state_runs(motion)):
-        if (before, after) == (CableState.CLASPING, CableState.HITCHED):
+        if before.clasping and after.tied:
             first, later = rises(np.array([start, start + 0.25 * (end - start)]))
             senses = np.where(later >= first, 1.0, -1.0)
             break
@@ -113,8 +109,8 @@ def clasp_senses(motion: Motion) -> Array:
 
 
 def _state_runs(motion: Motion) -> list[tuple[CableState, float, float]]:
-    """Return the cable states in order, with starts and ends [s]; all hooked ones are HITCHED."""
-    each = (CableState.HITCHED if p.state in HOOKED_STATES else p.state for p in motion.phases)
+    """Return the cable states in order, with starts and ends [s]; all tied ones are HITCHED."""
+    each = (CableState.HITCHED if p.state.tied else p.state for p in motion.phases)
     pairs = groupby(zip(each, motion.phases, strict=True), lambda pair: pair[0])
     runs = [(state, [phase for _, phase in run]) for state, run in pairs]
     return [(state, phases[0].start, phases[-1].end) for state, phases in runs]
@@ -154,9 +150,9 @@ def _hooked_shares(motion: Motion, t: Array) -> tuple[Array, Array]:
     no_run = (CableState.NONE, 0.0, 0.0)
     runs = [no_run, *_state_runs(motion), no_run]
     for before, (state, start, end), after in zip(runs, runs[1:], runs[2:], strict=False):
-        if state is CableState.HITCHED:
+        if state.tied:
             rise, fall = (
-                max(0.5 * (b - a), MIN_LENGTH) if other is CableState.CLASPING else MIN_LENGTH
+                max(0.5 * (b - a), MIN_LENGTH) if other.clasping else MIN_LENGTH
                 for other, a, b in (before, after)
             )
             share = np.interp(t, [start - rise, start, end, end + fall], [0.0, 1.0, 1.0, 0.0])

@@ -18,7 +18,6 @@ from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.errors import optional_module
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.motion import CableState
 from hitchopt.values import Array, known
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.own_pages import own_pages_only
@@ -312,7 +311,7 @@ class LiveView:
         for i, button in enumerate(self.phases):
             if button.color != (colour := CURRENT_COLOUR if i == current else IDLE_COLOUR):
                 button.color = colour
-        state = "" if phase.state is CableState.NONE else f" ({phase.state})"
+        state = f" ({phase.state})" if phase.state.has_cables else ""
         line = f"**{self.time:.2f} s** of {duration:.2f} s: **{phase.name}**{state}"
         remark = plain_words(phase.remark)
         self.now.content = f"{line}  \n{remark}" if remark else line

@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 
 from hitchopt.geometry.vectors import left_of, unit
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.motion import CableState
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.scene import SEGMENTS, Moment, Scene, TeamLabel, normals, scene_at, subdivide
@@ -197,12 +196,12 @@ def choose_shots(flight: Flight) -> tuple[Shot, ...]:
     shots = [Shot("start", 0.0, essential=True)]
     for (_, state), phases in groupby(flight.phases, lambda phase: (phase.step, phase.state)):
         group = list(phases)
-        if state is CableState.CLASPING:
+        if state.clasping:
             middle = 0.5 * (group[0].start + group[0].end)
             shots.append(Shot(group[0].name.rstrip(" 0123456789"), middle, essential=True))
-        elif state is CableState.HITCHED and group[-1].name == "tension":
+        elif state.hitched and group[-1].name == "tension":
             shots.append(Shot("hitched", group[-1].end, essential=True))
-        elif state in (CableState.HITCHED, CableState.NONE):
+        elif not state.slack:
             shots += [Shot(phase.name, phase.end) for phase in group if phase.name != "relax"]
     shots.append(Shot("end", flight.duration, essential=True))
     shots = sorted([*shots, *_passages(flight, shots)], key=lambda shot: shot.time)

@@ -25,7 +25,7 @@ from hitchopt.motion.loads import stated_tensions
 from hitchopt.storage.files import digest
 from hitchopt.values import Array
 from hitchopt.view import style
-from hitchopt.view.cables import CLASPS, HOOKED_STATES, POINTS
+from hitchopt.view.cables import CLASPS, POINTS
 from hitchopt.view.pictures import Page, draw_summary, panels, sample_states
 from hitchopt.view.scene import RigidSurface, Scene, highlight_of, mesh, scene_of
 
@@ -173,7 +173,7 @@ def _scene_data(scene: Scene) -> dict[str, Any]:
         "phases": [
             {
                 **{name: getattr(phase, name) for name in ("name", "start", "end", "remark")},
-                "hooked": phase.state in HOOKED_STATES,
+                "hooked": phase.state.tied,
             }
             for phase in flight.phases
         ],

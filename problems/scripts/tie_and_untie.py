@@ -18,7 +18,7 @@ plan = ho.solve(ho.DronesStart(q, r), mission, team=team, title="Tie and untie")
 plan.save("tied")
 
 for phase in plan.phases:
-    print(f"{phase.start:6.2f} s  {phase.name:10} cables {phase.state.value}")
+    print(f"{phase.start:6.2f} s  {phase.name:10} cables {phase.state}")
     assert phase.start < phase.end <= plan.duration
 heights = plan.at(plan.duration).positions[:, 2]
 print(f"all drones end at a height of {abs(heights).max():.3f} m")

@@ -15,8 +15,9 @@ from hitchopt.checks.bodies import cable_sheets
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry import hull_offset
 from hitchopt.hitch import Team
+from hitchopt.motion.cable_state import STATES, CableState
 from hitchopt.motion.flight import Flight, TeamMotion
-from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion, Phase
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, shifted, slice_time
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
@@ -35,13 +36,14 @@ from tests.helpers.second_opinions import opinion_of, violated
 
 DEEP = ho.Arena([-50.0, -50.0, -20.0], [50.0, 50.0, 20.0])
 TYING = ("tie_carry_untie", "form_square")
+CLASPED = tuple(state for state in STATES if state.clasped)
 
 
 def cables(motion: Motion, t: float) -> Array:
     """Return points (n, 201, 3) of the cables at a time: catenaries, or taut over the vertices."""
     phase = next(p for p in motion.phases if p.end >= t)
     x = motion.drones.at(t)
-    if phase.state not in {*CLASPED_STATES - {CableState.CLASPING}} and not phase.formed:
+    if not phase.state.tied:
         return cable_points(motion.team.cable_length, x)
     p, layout = motion.vertices.at(t), motion.team.layout
     route = np.stack([x[0::2], p[layout.starts], p[layout.ends], x[1::2]], axis=1)
@@ -94,7 +96,7 @@ def test_regions_contain_the_cables_on_both_sides_of_joints_of_phases(name: str)
     corners = PiecewisePolynomial(breaks, sheets.corners)
     for phase in whole.phases:
         for joint, inward in ((phase.start, 1e-9), (phase.end, -1e-9)):
-            if phase.formed or not breaks[0] < joint < breaks[-1]:
+            if phase.state.hitched or not breaks[0] < joint < breaks[-1]:
                 continue
             region = corners.at(joint + inward)
             for near in (joint - 1e-9, joint + 1e-9):  # the cable is in either state
@@ -124,7 +126,7 @@ def test_regions_of_a_flight_in_reverse_are_the_same(name: str) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_no_cable_of_a_hitch_that_is_tied_is_closer_than_bounds(seed: int) -> None:
     whole, rng = hitch("tie_carry_untie"), np.random.default_rng(seed)
-    states = [p for p in whole.phases if p.state in CLASPED_STATES]
+    states = [p for p in whole.phases if p.state.clasped]
     phase = states[seed % len(states)]
     t = float(rng.uniform(phase.start, phase.end))
     centre = np.mean(whole.drones.at(t), axis=0)
@@ -141,7 +143,7 @@ def test_no_cable_of_a_hitch_that_is_tied_is_closer_than_bounds(seed: int) -> No
 
 def test_ones_own_drones_keep_off_a_cable_that_is_tightened(tmp_path: Path) -> None:
     whole = hitch("form_square")
-    k = next(i for i, p in enumerate(whole.phases) if p.state is CableState.TIGHTENING)
+    k = next(i for i, p in enumerate(whole.phases) if p.state.tightening)
     phase, breaks = whole.phases[k], whole.drones.breaks
     pieces = np.flatnonzero((breaks[:-1] >= phase.start - 1e-9) & (breaks[1:] <= phase.end + 1e-9))
     c = whole.drones.coefficients.copy()
@@ -160,8 +162,8 @@ def test_ones_own_drones_keep_off_a_cable_that_is_tightened(tmp_path: Path) -> N
 def tied(state: CableState) -> tuple[Motion, float, Array]:
     """Return a phase, its middle, and a place between chord and taut route of cable 0 there."""
     whole = hitch("form_triangle")
-    similar = CableState.TIGHTENING if state is CableState.LOOSE else state
-    phase = next(p for p in whole.phases if p.state is similar)
+    similar = CableState.TIGHTENING if state.loose else state
+    phase = next(p for p in whole.phases if p.state == similar)
     part = shifted(slice_time(whole, phase.start, phase.end), -phase.start)
     part = part.replaced(phases=tuple(replace(each, state=state) for each in part.phases))
     x, p = part.drones.at(0.5 * part.duration), whole.vertices.at(phase.end)
@@ -179,7 +181,7 @@ def visit(whole: Motion, t: float, place: Array) -> tuple[ho.SolidObject, Piecew
     return body, poses
 
 
-@pytest.mark.parametrize("state", sorted(CLASPED_STATES))
+@pytest.mark.parametrize("state", CLASPED, ids=str)
 def test_ones_own_objects_keep_off_a_cable_that_is_tied(state: CableState, tmp_path: Path) -> None:
     whole, t, place = tied(state)
     for away, kept in ((0.0, False), (3.0, True)):
@@ -193,7 +195,7 @@ def test_ones_own_objects_keep_off_a_cable_that_is_tied(state: CableState, tmp_p
         assert ("object_clearance" not in broken) is kept
 
 
-@pytest.mark.parametrize("state", sorted(CLASPED_STATES))
+@pytest.mark.parametrize("state", CLASPED, ids=str)
 def test_objects_of_other_teams_keep_off_a_cable_that_is_tied(
     state: CableState, tmp_path: Path
 ) -> None:
@@ -219,7 +221,7 @@ def test_regions_contain_routes_over_the_middles_of_pairs_that_turn(kind: str) -
         team = ho.Team(3, whole.team.cable_length[:3], topology="open")
         drones = whole.drones.replaced(whole.drones.coefficients[:, :6])
         whole = Motion.single(team, whole.requirements, drones, whole.phases)
-    times = [0.5 * (p.start + p.end) for p in whole.phases if p.state is CableState.CLASPING]
+    times = [0.5 * (p.start + p.end) for p in whole.phases if p.state.clasping]
     sheets = cable_sheets(whole)
     region = PiecewisePolynomial(whole.drones.breaks, sheets.corners).at(times)
     routes = clasped_outlines(Samples(whole, np.array(times)), CableState.CLASPING)

@@ -15,7 +15,8 @@ from hitchopt.errors import UnitWarning
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from tests.helpers.by_hand import assert_sound, cable_points, point_to_segment
 from tests.helpers.motions import (

@@ -24,7 +24,8 @@ from hitchopt.checks.registry import TEAM_REPORTS
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.hysteresis import held_vertices
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, Phase, concatenated
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import cut, prolonged
 from hitchopt.planners.rests import rest_motion

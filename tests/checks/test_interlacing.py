@@ -9,7 +9,8 @@ import pytest
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits
-from hitchopt.motion.motion import CableState, concatenated
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import concatenated
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.stages import (

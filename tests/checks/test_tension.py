@@ -195,7 +195,9 @@ def test_nothing_moves_on_a_ramp(part: str) -> None:
 
 def test_ramps_are_next_to_spans_without_a_hitch() -> None:
     motion, (_, (piece, *_)) = tied(), pieces_of(tied(), "tension")
-    alone = motion.slice_pieces(slice(piece, piece + 2), [p for p in motion.phases if p.formed])
+    alone = motion.slice_pieces(
+        slice(piece, piece + 2), [p for p in motion.phases if p.state.hitched]
+    )
     assert check(alone).worst == pytest.approx(lacking(motion), abs=1e-3)
     team = motion.team.tension[:, None]
 

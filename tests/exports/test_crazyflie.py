@@ -48,7 +48,8 @@ from hitchopt.exports.placing import (
 )
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import flight_states_at
 from hitchopt.plan import Plan
 from hitchopt.trajectory import PiecewisePolynomial

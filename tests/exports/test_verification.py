@@ -22,7 +22,8 @@ from hitchopt.exports.contents import WINDOW, FileContents, Trajectory
 from hitchopt.exports.lint import load
 from hitchopt.exports.placing import AXES, ReferenceFrame
 from hitchopt.exports.verification import Flown, Verdict, verify
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import certify
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Prism, Separation
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from tests.helpers.motions import row
@@ -203,7 +204,7 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
     spans = np.linalg.norm(s.x[:, 1::2] - s.x[:, 0::2], axis=-1) / s.team.cable_length
     flat = s.x * [1.0, 1.0, 0.0]
     q, r = flat[:, 0::2], flat[:, 1::2]
-    if state is CableState.GROUND:
+    if state.on_ground:
         apart, lowest = point_to_segment(flat[:, :, None], q[:, None], r[:, None]), math.inf
     else:
         points = cable_points(s.team.cable_length, few)
@@ -212,14 +213,14 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
         lowest = float(np.min(points[..., 2])) - (0.0 if arena is None else arena.lower[2])
     each = np.arange(s.team.drones)
     apart[:, each, each // 2] = math.inf
-    if state is not CableState.GROUND:
+    if not state.on_ground:
         lowest = min(lowest, own_cable_distance(s.motion, few))
     i, j = np.triu_indices(s.n, 1)
-    if state in {CableState.CLASPING, CableState.TIGHTENING}:
+    if state.clasping or state.tightening:
         held = (j - i == 1) | ((i == 0) & (j == s.n - 1) & (len(s.clasps) == s.n))
         i, j = i[~held], j[~held]
     crossing = segment_to_segment(q[:, i], r[:, i], q[:, j], r[:, j])
-    if state in {CableState.CLASPING, CableState.TIGHTENING}:
+    if state.clasping or state.tightening:
         outlines = clasped_outlines(s, state)
         crossing = hull_gaps(outlines[:, i], outlines[:, j])
         top = np.max(outlines[..., 2], axis=2)
@@ -228,7 +229,7 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
         up = np.maximum(s.x[:, :, None, 2] - top[:, None], bottom[:, None] - s.x[:, :, None, 2])
         beside = np.maximum(level, up)
         beside[:, each, each // 2] = math.inf
-        for k in s.clasps.tolist() if state is CableState.CLASPING else ():
+        for k in s.clasps.tolist() if state.clasping else ():
             m = k - 1 if k else s.n - 1  # drones that turn about the clasp
             beside[:, 2 * k, m] = beside[:, 2 * m + 1, k] = math.inf
         lowest = min(lowest, float(np.min(beside)))
@@ -261,7 +262,7 @@ def own_cable_distance(motion: Motion, drones: Array, count: int = 401) -> float
 def clasped_outlines(s: Samples, state: CableState) -> Array:
     """Return drones and clasps (times, n, 4, 3) of cables that are clasped or tightened."""
     clasps = s.p.copy()
-    if state is CableState.CLASPING:
+    if state.clasping:
         clasps[:, s.own[~s.legged]] = s.x[:, ~s.legged]
         for k in s.clasps.tolist():
             clasps[:, k] = 0.5 * (s.x[:, 2 * k] + s.x[:, (2 * k - 1) % (2 * s.n)])

@@ -16,7 +16,8 @@ from hitchopt.checks.registry import RULE_OF, TEAM_REPORTS
 from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
 from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.requirements import Arena, Limits, Requirements
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 

@@ -9,7 +9,8 @@ import numpy as np
 import hitchopt as ho
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import CableState, Motion, concatenated
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.stages import stage

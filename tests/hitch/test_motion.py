@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import cut
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial
@@ -48,13 +49,13 @@ def resting_motion(formed: tuple[bool, ...]) -> Motion:
 def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[int, int]]) -> None:
     motion = resting_motion(formed)
     np.testing.assert_array_equal(motion.formed, formed)
-    spans = motion.spans(HITCHED_STATE)
+    spans = motion.spans(lambda state: state.hitched)
     for span, (a, b) in zip(spans, runs, strict=True):
         assert (span.drones.breaks[0], span.drones.breaks[-1]) == (BREAKS[a], BREAKS[b])
         assert span.phases == motion.phases[a:b]
         assert np.all(span.formed)
         np.testing.assert_array_equal(span.legs.coefficients, motion.legs.coefficients[a:b])
-    others = motion.spans(FREE_STATES)
+    others = motion.spans(lambda state: state.slack)
     assert sum(s.duration for s in (*spans, *others)) == pytest.approx(motion.duration)
 
 

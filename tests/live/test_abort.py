@@ -15,7 +15,7 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.live.abort import Aborts, abort_table, until_stop
-from hitchopt.motion.motion import CableState
+from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.trajectory.piecewise import MIN_SPACING
 from tests.helpers.plans import planned
@@ -62,7 +62,7 @@ def aborts_of(name: str) -> Aborts:
 def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, how: str) -> None:
     plan = aborts_of(name).flight
     if isinstance(share, CableState):
-        phase = next(p for p in plan.phases if p.state is share)
+        phase = next(p for p in plan.phases if p.state == share)
         share = (phase.start + 0.3 * (phase.end - phase.start)) / plan.duration
     found = aborts_of(name).plan(share * plan.duration, how)
     whole = found.flight
@@ -76,12 +76,12 @@ def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, 
     assert np.max(np.abs(whole.drones.at(whole.duration, 1))) <= 1e-9
     end, last, free = whole.drones.at(whole.duration), whole.phases[-1], CableState.FREE
     if how in ("hold", "back"):
-        at = [found.rest] if how == "hold" else [p.end for p in plan.phases if p.state is free]
+        at = [found.rest] if how == "hold" else [p.end for p in plan.phases if p.state == free]
         np.testing.assert_allclose(end, plan.drones.at(at[-1]), atol=1e-9)
-        assert how == "hold" or last.state is free
+        assert how == "hold" or last.state == free
     else:
         assert np.min(end[:, 2]) == pytest.approx(0.0, abs=1e-9)
-        assert last.formed == (how == "land" and name != "swarms/head_on")
+        assert last.state.hitched == (how == "land" and name != "swarms/head_on")
     if name == "leaning":  # they stand straight where the plan rests
         assert (found.start, found.seconds) == (plan.duration, 0.0)
 

@@ -21,8 +21,9 @@ from hitchopt.live.fly import CommandedPlan
 from hitchopt.live.links import Operator
 from hitchopt.live.losing import after_loss_of
 from hitchopt.live.player import Setpoints
+from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.flight import TeamMotion
-from hitchopt.motion.motion import CableState, HoldBy, PhaseHold
+from hitchopt.motion.motion import HoldBy, PhaseHold
 from hitchopt.planners.losses import after_loss
 from hitchopt.planners.reactions import DELAY, prepared_stops
 from hitchopt.trajectory.piecewise import MIN_SPACING

@@ -33,7 +33,7 @@ def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
         *("morph", "transport", "hold"),
         *("relax", "loosen", "unswap 1", "unswap 2", "land"),
     ]
-    assert [p.formed for p in plan.phases] == [False] * 5 + [True] * 5 + [False] * 4
+    assert [p.state.hitched for p in plan.phases] == [False] * 5 + [True] * 5 + [False] * 4
     assert [p.step for p in plan.phases] == [0] * 6 + [1, 2, 3] + [4] * 4 + [5]
     assert plan.certificate.certified
     assert plan.certificate["interlacing"].worst == 0.0
@@ -51,7 +51,10 @@ def test_a_saved_plan_tells_its_roles_and_vertices_while_it_is_tied(tmp_path: Pa
     assert roles is not None
     expected = {"robots": list(roles.robots), "flipped": list(roles.flipped)}
     assert json.loads((tmp_path / "certificate.json").read_text())["assignment"] == expected
-    times, formed = [float(row.split(",")[0]) for row in rows], [p for p in plan.phases if p.formed]
+    times, formed = (
+        [float(row.split(",")[0]) for row in rows],
+        [p for p in plan.phases if p.state.hitched],
+    )
     assert formed[0].start - 1e-9 <= min(times) <= max(times) <= formed[-1].end + 0.1
 
 

@@ -21,8 +21,9 @@ from hitchopt.hitch.rest_errors import responses
 from hitchopt.lab.statics.equilibrium import Equilibrium, conditions_of, samples_of
 from hitchopt.lab.statics.files import draw_statics
 from hitchopt.lab.statics.tolerance import ErrorSize, Tolerance, taut_times
+from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.loads import sags
-from hitchopt.motion.motion import CableState, Phase, concatenated
+from hitchopt.motion.motion import Phase, concatenated
 from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon

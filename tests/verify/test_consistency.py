@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify as second
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import cut, prolonged
 from hitchopt.verify import consistency
@@ -67,7 +67,7 @@ def test_tightened_cables_have_their_full_length_for_half_of_their_time(
 ) -> None:
     """They come to rest at it; a rest as long as the motion before it is that of a hitch."""
     motion = planned("form_triangle").motion
-    tight = [phase.state is CableState.TIGHTENING for phase in motion.phases].index(True)
+    tight = [phase.state.tightening for phase in motion.phases].index(True)
     pieces = np.flatnonzero(motion.phase_of_piece == tight)
     seconds = motion.phases[tight].end - motion.phases[tight].start
     rested = prolonged(cut(motion, 0, int(pieces[-1]) + 1), share * seconds)

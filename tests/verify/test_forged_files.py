@@ -117,7 +117,7 @@ def test_every_cable_has_its_own_ramp(tmp_path: Path) -> None:
     assert (row.verdict, row.where, check.where) == ("violated", "cable 2", ("cable 2",))
     motion = plan.motion
     smallest = motion.team.tension[2]
-    start = next(phase.start for phase in motion.phases if phase.state == "hitched")
+    start = next(phase.start for phase in motion.phases if phase.state.hitched)
     pull_at_start = 0.5 * motion.tensions.at(start)[2]  # of a cable that hung before
     assert 0.5 * smallest < row.worst <= check.worst
     assert check.worst == pytest.approx(smallest - pull_at_start)

@@ -24,7 +24,6 @@ from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.hitch.holding import wraps_around
 from hitchopt.lab.simulation.ropes import linking_matrix
 from hitchopt.motion.flight import Flight, TeamMotion
-from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import states_at
@@ -85,7 +84,7 @@ def test_a_scene_is_the_plan_at_its_times_and_between(tied: ho.Motion) -> None:
 
 
 def test_free_cables_are_as_long_as_they_are_and_hang(tied: ho.Motion) -> None:
-    free = next(phase for phase in tied.phases if phase.state is CableState.FREE)
+    free = next(phase for phase in tied.phases if phase.state.hangs)
     points = scene_at(ho.Flight.of(tied), np.linspace(free.start, free.end, 9)[1:-1]).cables
     length = np.sum(np.linalg.norm(np.diff(points, axis=2), axis=-1), axis=-1)
     np.testing.assert_allclose(length, np.tile(tied.team.cable_length, (7, 1)), rtol=5e-3)

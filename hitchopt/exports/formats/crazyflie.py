@@ -355,7 +355,7 @@ def _slack_points(task: ExportTask) -> dict[str, list[float]]:
     if task.without_offsets is None:
         return {}
     ends = [
-        np.full(len(each.motion.team.drone_names), each.motion.phases[-1].formed)
+        np.full(len(each.motion.team.drone_names), each.motion.phases[-1].state.hitched)
         for each in task.flight.teams
     ]
     setpoints = task.planned(task.flight.duration) + task.trims

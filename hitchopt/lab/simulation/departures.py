@@ -15,7 +15,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation.record import REST_HEIGHT, SimulatedFlight, ground_of
 from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.values import Array
 
 DEPARTURES = OFF, SNAPPED, GROUND, WALL = "off", "snapped", "ground", "wall"
@@ -186,7 +186,7 @@ class _TeamInFlight:
 
         yield from _failures(GROUND, self.names, record.t[rows], depths, words)
         may_lie = may_stand[:, 0::2] | may_stand[:, 1::2]
-        may_lie |= self.motion.in_states(frozenset({CableState.GROUND}))[self.part.pieces, None]
+        may_lie |= self.motion.in_states(lambda state: state.on_ground)[self.part.pieces, None]
         taken_off = self.motion.drones.at(self.part.states.t)[..., 2] - planned < CONTACT
         may_lie |= ~np.all(taken_off, axis=1, keepdims=True)  # before the plan, in an export
         t, nodes = self._shapes

@@ -20,7 +20,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion, team_label
 from hitchopt.motion.loads import tautness
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
@@ -371,8 +371,8 @@ class Task:
         """Return the task of a plan; UnsupportedError for drones without cables."""
         if not flight.has_cables:
             raise unsupported(Feature.SIMULATION, Neighbour.SINGLE_DRONES)
-        loose = CableState.TIGHTENING, CableState.LOOSE
-        if any(each.motion.phases[0].state in loose for each in flight.teams):
+        starts = [each.motion.phases[0].state for each in flight.teams]
+        if any(state.tied and not state.hitched for state in starts):
             raise unsupported(Feature.SIMULATION, Neighbour.LOOSE_CLASPS)
         t = sample_times(flight.duration, RATE)
         tied = [each for each in flight.teams if each.motion.team.has_cables]

@@ -252,7 +252,7 @@ def samples_of(
         raise unsupported(Feature.STATICS, Neighbour.SINGLE_DRONES)
     states = states_at(motion, t)
     if not np.all(states.formed):
-        formed = [p.formed for p in motion.phases]
+        formed = [p.state.hitched for p in motion.phases]
         runs = [(motion.phases[i], motion.phases[j - 1]) for i, j in true_runs(np.array(formed))]
         spans = [f"{first.start:g} to {last.end:g} s" for first, last in runs]
         bound = f"within a hitch: {', '.join(spans) or 'never in this plan'}"

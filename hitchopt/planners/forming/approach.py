@@ -24,7 +24,8 @@ from hitchopt.geometry.vectors import GOLDEN, TIE, cross
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.motion import TAKE_OFF, CableState, Motion
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import TAKE_OFF, Motion
 from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO
 from hitchopt.planners.forming.stages import (
     PAUSE,

@@ -26,7 +26,8 @@ from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_tensions
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.stages import (
     SLACK_SAMPLES,

@@ -15,7 +15,8 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary, bounded_radius
 from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.cable_state import CableState
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.morph.morph import POSITION_TOLERANCE
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.planners.timing.ramps import fastest_clock
@@ -70,7 +71,7 @@ def stage(
     """
     phase = Phase(name, index, 0.0, drones.duration, state=state)
     motion = Motion.single(team, requirements, drones, [phase]).replaced(**curves)
-    if state is CableState.GROUND and above_ground(motion):
+    if state.on_ground and above_ground(motion):
         motion = replace(motion, phases=(replace(phase, state=CableState.FREE),))
     factor = further_stretch(motion)
     return motion.slowed(factor) if 1.0 < factor < math.inf else motion
