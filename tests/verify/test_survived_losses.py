@@ -157,6 +157,17 @@ def test_no_forged_table_is_believed(seed: int, tmp_path: Path, saved: Saved) ->
     assert not believers(json.dumps(content), tmp_path, saved)
 
 
+@pytest.mark.parametrize("share", [0.9, 0.99, 1.01, 1.5, 100.0])
+def test_check_recomputes_times_that_verify_only_bounds_from_below(
+    share: float, tmp_path: Path, saved: Saved
+) -> None:
+    folder, own, _ = saved
+    content = json.loads(strict_json(recomputed(own, folder)))
+    row = content["after_loss"]["robots"][1]
+    row["seconds"] *= share
+    assert "check" not in believers(json.dumps(content), tmp_path, saved)
+
+
 @pytest.mark.parametrize(
     "text",
     [
