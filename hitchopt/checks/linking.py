@@ -12,6 +12,7 @@ may fly inside the hanging cable of another.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -60,7 +61,7 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     taut = motion.spans(lambda state: state.hitched)
     curves += [(span.vertices, team.point_names) for span in pulling]
     curves += [(span.legs.reshaped(-1, 1), team.leg_names) for span in taut]
-    cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
+    cases = [WorstCase(-math.inf, float(motion.drones.breaks[0]))]
     for curve, names in curves:
         for jumps, of in zip(_jumps(curve, position_margin(motion)), JUMP_UNITS, strict=True):
             case = worst_at_joint(jumps, curve.breaks[1:], names)

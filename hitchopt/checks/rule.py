@@ -69,9 +69,12 @@ class WorstCase:
 
 
 def worst_at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCase:
-    """Return the largest of values (joints, items) at times (joints or more,) [s]."""
+    """Return the largest of values (joints, items) at times (joints or more,) [s].
+
+    Without any, it is minus infinity: there is nothing to check.
+    """
     if values.size == 0:
-        return WorstCase(0.0, float(times[0]))
+        return WorstCase(-math.inf, float(times[0]))
     joint, item = np.unravel_index(int(np.argmax(values)), values.shape)
     largest = float(values[joint, item])
     where = (names[int(item)],) if largest > 0.0 else ()

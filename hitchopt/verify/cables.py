@@ -11,7 +11,7 @@ from .arithmetic import BIG, DEGREES, UP, G, Index, Line, Mask, angle, maximum, 
 from .drones import wall_gap
 from .plan import HITCHED, REST_TOL, WRAP_TOL, Plan
 from .shapes import distance
-from .spans import MIN_TENSION, Row, Spans, prove
+from .spans import MIN_TENSION, Row, Spans, nothing_row, prove
 
 OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run straight
 
@@ -35,6 +35,8 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     s = Spans.of(p, p.formed, foreign, p.names, names)
     near = partial(distance, ratio=p.ratio)
     yield prove(*p.cable_limit, s, lambda s, i, j: near([s.point(i)], s.segment(j)))
+    if not len(pairs.x) and np.any(p.formed):
+        yield nothing_row(*p.crossing_limit)  # two cables
     yield prove(*p.crossing_limit, pairs, lambda s, i, j: near(s.segment(i), s.segment(j)))
     speed = "vertex_speed m/s max", limits["vertex_speed"]
     yield prove(*speed, vertices, lambda s, i: s.point(i, 1).norm())

@@ -25,8 +25,9 @@ def jumps(p: Plan, rests: Sequence[int] = ()) -> Iterator[Row]:
     They ``rest`` at the start (0) or the end (-1) of the plan.
     """
     jumps_by_unit = [*curve_jumps(p), *rates_at_rest(p, rests)]
-    worst, unit = max(jumps_by_unit, key=lambda each: each[0][0], default=((0.0, 0.0, ""), "m"))
-    yield worst_row("continuity", unit, 1e-6, [worst])
+    worst = max(jumps_by_unit, key=lambda each: each[0][0], default=None)
+    values, unit = ([], "m") if worst is None else ([worst[0]], worst[1])
+    yield worst_row("continuity", unit, 1e-6, values)
     if p.n:
         yield worst_row("tension", "N", 1e-4, [*force_jumps(p), *range_errors(p)])
 

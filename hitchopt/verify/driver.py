@@ -162,7 +162,9 @@ def worst_rows(rows: Sequence[Row]) -> Iterator[Row]:
 
     There is none for quantities of bodies and states that the plan does not have.
     """
-    rows = [row for row in rows if row.samples or row.verdict == NOTHING]
+    evaluated = {row.name for row in rows if row.samples}
+    empty = [row for row in rows if row.verdict == NOTHING and row.name not in evaluated]
+    rows = [*(row for row in rows if row.samples), *empty]
     for quantity in dict.fromkeys((row.name, row.unit) for row in rows):
         same = [row for row in rows if (row.name, row.unit) == quantity]
         worst = min(same, key=lambda row: (ORDER.index(row.verdict), -row.excess))

@@ -37,7 +37,7 @@ from .arithmetic import (
 )
 from .plan import HITCHED, Plan
 from .shapes import closest, distance, hull_distance, prism_gap
-from .spans import Fault, Row, Spans, fault_row, prove, worst_row
+from .spans import Fault, Row, Spans, fault_row, nothing_row, prove, worst_row
 
 TAUT_SHARE = 0.9  # least tension of a taut hitch, over the team's
 RISE = 2.1  # height of the rise of a lost robot's drones, over the semi-axis of ellipsoids
@@ -90,13 +90,16 @@ def losses(p: Plan, stated: Stated | None = None) -> Iterator[Row]:
     hitched = p.state == HITCHED
     T = np.max(p.tensions.c[0][:, :, 0], axis=-1) * hitched[:, None]
     jump = np.repeat(T, 2, axis=1) * jumps
-    values = [(float(x), float(p.breaks[q]), names[i]) for (q, i), x in np.ndenumerate(jump)]
+    places = [(float(x), float(p.breaks[q]), names[i]) for (q, i), x in np.ndenumerate(jump)]
+    values = places if np.any(hitched) else []
     yield worst_row("loss_displacement", "m", p.tube[0], values)
     rows, on = moves(p), taut_pieces(p)
     if stated is not None:
         yield fault_row("after_loss", table_faults(p, rows, on, stated, float(np.max(jump))))
     if np.any(on) and len(rows.drone):
         yield from AfterLosses(p, rows, on).proofs()
+    else:
+        yield nothing_row("survivable 1 min", 1.0)
 
 
 def taut_pieces(p: Plan) -> Mask:

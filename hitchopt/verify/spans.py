@@ -307,10 +307,16 @@ def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> 
     return Row(name, unit, verdict, sign * worst, limit, sense, time, where, samples)
 
 
+def nothing_row(header: str, limit: float) -> Row:
+    """Return the row of a limit of which there are no values; ``header`` is that of ``prove``."""
+    name, unit, sense = header.split()
+    return Row(name, unit, NOTHING, math.nan, limit, sense, math.nan, "", samples=0)
+
+
 def worst_row(name: str, unit: str, limit: float, values: Sequence[Worst]) -> Row:
     """Return a row of the largest of values with times and places; nan is infinite."""
     if not values:
-        return Row(name, unit, NOTHING, math.nan, limit, "max", math.nan, "", samples=0)
+        return nothing_row(f"{name} {unit} max", limit)
     worst, time, where = max((BIG if math.isnan(x) else x, t, at) for x, t, at in values)
     verdict = "proven" if worst <= limit + TOLERANCE * max(abs(limit), 1.0) else "violated"
     return Row(name, unit, verdict, worst, limit, "max", time, where, 1)

@@ -183,6 +183,8 @@ def test_certificates_are_invariant_to_place_time_and_numbering(name: str, kind:
         factor = symmetry.factors.get(a.name, 1.0)
         if a.name == "continuity" or math.isnan(factor):  # it measures the fit's own noise
             continue
+        if not a.is_evaluated:  # a single piece has no joints
+            continue
         least = 1e-2 if a.name in loose else 1e-6
         assert a.worst == pytest.approx(factor * b.worst, rel=3e-4, abs=least), a.name
         if a.name in {"separation", "cable_clearance", "speed", "jerk", "legs"} - loose:

@@ -14,6 +14,7 @@ from hitchopt import verify as second
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Prism
+from hitchopt.motion.flight import TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import slice_time
@@ -118,6 +119,34 @@ def test_cables_sag_toward_the_floor(tmp_path: Path) -> None:
     found = worst(low, "arena", tmp_path)
     assert found == pytest.approx(lowest - floor, abs=1e-4)
     assert found == pytest.approx(check.worst, abs=1e-4)
+
+
+def unproven(motion: Motion, folder: Path) -> tuple[set[str], set[str]]:
+    """Return the names of limits without any value, of check and of verify."""
+    flight = ho.Flight.of(motion)
+    write_plan(folder / "plan.npz", flight)
+    empty = {check.name for check in ho.certify(flight).checks if not check.is_evaluated}
+    nothing = "nothing to check"
+    return empty, {row.name for row in second.verify(folder) if row.verdict == nothing}
+
+
+def test_limits_without_values_say_so_in_both(tmp_path: Path) -> None:
+    pair = ho.Hitch.balanced(ho.Team(2, 1.6, topology="open"), [[-1, 0], [0, 1], [1, 0]], 1.2)
+    held = ho.solve(pair, ho.Hold(1.0)).motion  # one piece, and no parts that could cross
+    joined = ho.solve(pair, ho.Transport(to=[0.3, 0.0, 1.2])).motion
+    assert unproven(held, tmp_path) == ({"continuity", "crossing"}, {"continuity", "crossing"})
+    assert unproven(joined, tmp_path) == ({"crossing"}, {"crossing"})
+
+
+def test_a_flight_compares_joints_of_a_team_of_several(tmp_path: Path) -> None:
+    team, polygon = ho.Team(3, 2.4), np.array(ho.regular_polygon(3, 1.0).vertices)
+    away = ho.Hitch.spread(team, polygon + 9.0, altitude=1.2)
+    far = ho.solve(away, ho.Transport(to=[9.1, 9.0, 1.2])).motion
+    near = ho.solve(ho.Hitch.spread(team, polygon, altitude=1.2), ho.Hold(far.duration)).motion
+    flight = ho.Flight((TeamMotion("a", near), TeamMotion("b", far)))
+    write_plan(tmp_path / "plan.npz", flight)
+    verdicts = [row.verdict for row in second.verify(tmp_path) if row.name == "continuity"]
+    assert {*verdicts} == {"proven"}
 
 
 @pytest.mark.parametrize("reserve", [1.0, 0.6])

@@ -78,6 +78,14 @@ def test_both_prove_that_losses_are_survived(
     assert rows["after_loss"].verdict == "proven"
 
 
+def test_without_a_taut_hitch_no_loss_is_checked(tmp_path: Path) -> None:
+    motion = plan(3, 2.4, 0.0).motion
+    slack = motion.tensions.replaced(0.5 * motion.tensions.coefficients)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion.replaced(tensions=slack)))
+    row = rows_of(tmp_path)["survivable"]
+    assert (row.verdict, row.sense, row.limit) == ("nothing to check", "min", 1.0)
+
+
 Saved = tuple[Path, ho.Plan, second.Plan]  # A plan in a folder, and as the verifier reads it
 
 
