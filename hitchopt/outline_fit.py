@@ -34,7 +34,7 @@ from hitchopt.planners.grasps import (
     on_pillar,
     shortest_judge,
 )
-from hitchopt.values import integer, points, positive, sequence
+from hitchopt.values import MAX_COORDINATE, integer, points, positive, sequence
 from hitchopt.values.fields import Key, Record, suggest_keywords
 from hitchopt.values.units import (
     CABLE_LENGTH,
@@ -50,6 +50,7 @@ GRIP = "grip"  # Method of holding an object by cables that are wrapped around i
 REST = "rest"  # Method of holding an object whose rim lies on the clasps
 OBJECT = "object"  # Name of the object
 MAX_ROBOTS = 24  # Limited by memory for pairs of parts of a grip
+MAX_REACH = 0.25 * MAX_COORDINATE  # [m] Largest reach of a fit; triangles reach twice as far
 TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
 CENTRED = 1e-9  # Distance of a centroid from the origin that is rounding [m]
 CIRCLE_ANGLES = np.pi * np.arange(24) / 12.0
@@ -254,6 +255,10 @@ def fit(
         cable_density=cable_density,
         mass=mass,
     )
+    reach = float(np.max(np.abs(section.core))) + section.rounding + clearance
+    if reach > MAX_REACH:
+        bound = f"such that cables stay within {MAX_REACH:g} m of the origin"
+        raise InputError("clearance", clearance, bound, "use metres, and points near the origin")
     numbers = sorted({robots, *compared})
     holding = _holding(task, robots)
     others = {n: holding if n == robots else outcome(partial(_holding, task, n)) for n in numbers}

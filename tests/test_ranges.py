@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,91 @@ CASES = [*cases(), *((FRICTION, value) for value in (50.0, 1e3, 1e9, [0.0, 1e9])
 )
 def test_ends_of_ranges_lead_to_plans_or_our_errors(place: Place, value: Value) -> None:
     assert "please report" not in str(outcome(place, value))
+
+
+EXTREMES = (0.0, 1e-300, 1e-12, 1e3, 1e9, 1e300, -1e-12, -1.0, -1e300, np.nan, np.inf)
+TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
+SQUARE = np.array([[0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.2, -0.2]])
+
+
+@cache
+def started() -> ho.Hitch:
+    team = ho.Team(3, 2.4, cable_friction=0.1, cable_density=0.003)
+    return ho.Hitch.spread(team, TRIANGLE, altitude=1.2)
+
+
+@cache
+def moved() -> ho.Plan:
+    return ho.solve(started(), ho.Transport(to=[0.3, 0.0, 1.2]))
+
+
+def player() -> ho.Player:
+    return ho.Player(moved(), 0.4)
+
+
+def linted(row: Callable[[int], str], folder: Path) -> object:
+    """Lint a table of a drone's path with twenty rows ``t,x``."""
+    rows = "".join(f"{row(i)},0,1\n" for i in range(20))
+    (folder / "flight.csv").write_text(f"t,x,y,z\n{rows}")
+    return ho.lint(folder / "flight.csv")
+
+
+CALLS: dict[str, Callable[[Any, Path], object]] = {
+    "at": lambda x, _: moved().at(x),
+    "at some": lambda x, _: moved().at([0.1, x]),
+    "abort": lambda x, _: moved().abort(x, "hold"),
+    "after_loss": lambda x, _: moved().after_loss(0, x),
+    "step": lambda x, _: player().step(x),
+    "rate": lambda x, _: player().rate(x),
+    "seek": lambda x, _: player().seek(x),
+    "Player": lambda x, _: ho.Player(moved(), x),
+    "Player at a rate": lambda x, _: ho.Player(moved(), 0.1, x),
+    "certify": lambda x, _: ho.certify(moved().flight, gamma=x, reports=()),
+    "combine": lambda x, _: ho.combine(moved(), moved(), at=x),
+    "regular_polygon": lambda x, _: ho.regular_polygon(3, x),
+    "regular_polygon at an angle": lambda x, _: ho.regular_polygon(3, 1.0, x),
+    "spread": lambda x, _: ho.Hitch.spread(started().team, TRIANGLE, x),
+    "spread of another size": lambda x, _: ho.Hitch.spread(started().team, x * TRIANGLE, 1.2),
+    "spread elsewhere": lambda x, _: ho.Hitch.spread(started().team, x + TRIANGLE, 1.2),
+    "time": lambda x, _: ho.time(ho.route(started(), 0.95 * TRIANGLE), duration=x),
+    "lint": lambda x, folder: linted(lambda i: f"{0.01 * i},{x * i}", folder),
+    "lint of times": lambda x, folder: linted(lambda i: f"{x * i},{0.01 * i}", folder),
+    "equilibrium with lengths": lambda x, _: ho.equilibrium(moved(), 0.5, cable_length=x),
+    "equilibrium with weight": lambda x, _: ho.equilibrium(moved(), 0.5, cable_density=x),
+    "equilibrium with loads": lambda x, _: ho.equilibrium(moved(), 0.5, load=x),
+    "equilibrium with forces": lambda x, _: ho.equilibrium(moved(), 0.5, forces=x),
+    "equilibrium with friction": lambda x, _: ho.equilibrium(moved(), 0.5, friction=x),
+}
+"""Public calls with a number and a folder, none of which takes long."""
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_extreme_arguments_raise_only_our_errors(name: str, tmp_path: Path) -> None:
+    refusals = list[str]()
+    for value in EXTREMES:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                CALLS[name](value, tmp_path)
+            except ho.HitchoptError as error:
+                refusals.append(str(error))
+    assert not [words for words in refusals if "please report" in words]
+
+
+def test_grips_without_friction_hold_nothing_and_fits_stay_in_reach() -> None:
+    found = ho.fit(SQUARE, 3, friction=0.0, cable_length=2.4, compared=())
+    assert found.capacities("grip")[3].mass == 0.0
+    with (
+        pytest.warns(ho.UnitWarning, match="clearance"),
+        pytest.raises(ho.InputError, match=r"clearance = 300\.0"),
+    ):
+        ho.fit(SQUARE, 3, clearance=300.0, compared=())
+
+
+def test_jumps_of_plans_for_centuries_are_rounding_of_times() -> None:
+    with pytest.warns(ho.UnitWarning, match="duration"), pytest.raises(ho.InfeasibleError) as found:
+        ho.morph(started(), 0.95 * TRIANGLE, duration=1e9)
+    assert "shorten durations" in str(found.value)
 
 
 def test_what_takes_too_many_samples_names_the_step(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.checks.cable_states import contradictions
+from hitchopt.checks.certificate import Check
 from hitchopt.checks.chords import (
     chord_crossings,
     drones_inside_hanging_cables,
@@ -85,6 +86,15 @@ def _jumps(curve: PiecewisePolynomial, margin: float) -> Array:
     return jumps
 
 
+LATE = 1e6  # [s] Time from which on its rounding may cause jumps
+
+
+def _shorter(motion: Motion, _: Check) -> str:
+    """Return the suggested change where times are so late that their rounding causes jumps."""
+    is_late = motion.duration > LATE
+    return f"after {LATE:g} s rounding causes jumps: shorten durations" if is_late else ""
+
+
 JUMPS = Evaluator(_largest_jump, formulas=(_largest_jump, _jumps))
 
 CONTINUITY = CheckRule(
@@ -95,6 +105,7 @@ CONTINUITY = CheckRule(
     (JUMPS,),
     "far from the origin rounding causes jumps: subtract an offset from all coordinates; near it, "
     "please report this",
+    remedy_at=_shorter,
     whole=True,
     group="timing",
     proves="the largest sum of jumps in position [m], velocity or acceleration",

@@ -28,6 +28,8 @@ KEY = "hitchopt.output"  # Key of the Output in click's contexts
 BAR_WIDTH = 20  # Width of a progress bar [characters]
 CLOCK_WIDTH = 12  # Width of its clock with gaps [characters]
 LINE_INTERVAL = 1.0  # Minimum time between lines of percentages [s]
+FIRST_NOTICE = 20.0  # Time after which progress is printed without a terminal [s]
+NOTICE_INTERVAL = 60.0  # Minimum time between further lines without a terminal [s]
 ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Python argument in a message
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
 # Control characters except line breaks and tabs, and those that change the direction of text
@@ -245,13 +247,15 @@ class ProgressBar:
     """Context manager and status callback that shows a progress bar on a terminal.
 
     The bar shows the count in a message, such as ``speed, 4 of 18``, or its percentage, and a time
-    limit [s] next to the elapsed time. With ``--verbose`` messages are printed as lines.
+    limit [s] next to the elapsed time. With ``--verbose`` messages are printed as lines. Without a
+    terminal, work of more than FIRST_NOTICE prints a line now and then.
     """
 
     def __init__(self, message: str, limit: float | None = None) -> None:
         self._message, self._start = message, time.monotonic()
         self._limit = "" if limit is None else f"of at most {limit:.0f} s"
         self._verbose, self._next_line = output().verbose, self._start
+        self._next_notice = math.inf if output().quiet else self._start + FIRST_NOTICE
         self._bar: Progress | None = None
 
     def __enter__(self) -> ProgressBar:
@@ -283,3 +287,6 @@ class ProgressBar:
         elif self._verbose and not ("%" in message and now < self._next_line):
             echo(f"{now - self._start:6.1f} s  {message}", err=True)
             self._next_line = now + LINE_INTERVAL
+        elif not self._verbose and now >= self._next_notice:
+            echo(f"{now - self._start:.0f} s: {message}", err=True)
+            self._next_notice = now + NOTICE_INTERVAL

@@ -290,7 +290,7 @@ class _Following(NamedTuple):
 def _checked_rate(rate: float) -> float:
     if abs(finite("rate", rate)) > 1.0:
         raise InputError("rate", rate, "from -1 to 1", "plans are as fast as their limits allow")
-    return float(rate)
+    return 0.0 if abs(rate) <= CLOCK_TOLERANCE else float(rate)
 
 
 class _SharedData:

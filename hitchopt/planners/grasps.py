@@ -276,9 +276,14 @@ class HoldJudge:
 
     @cached_property
     def _straight(self) -> Rated:
-        """The hold with even splits, or one that linear programs find if none bears anything."""
+        """The hold with even splits, or one that linear programs find if none bears anything.
+
+        A grip without friction bears nothing.
+        """
         if self._even is not None:
             return self._even
+        if self.planner.body.rim is None:
+            return Rated(0.0, self.holds[0])
         start = self._start(self.planner.state.polygons.clasps)
         found = self._most_bearing(self._search(start, LIGHT).holds())
         return Rated(0.0, start) if found is None else found

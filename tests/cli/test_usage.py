@@ -35,6 +35,7 @@ from hitchopt.motion.motion import Phase
 from hitchopt.storage import interrupts
 from hitchopt.storage.yaml_file import with_value
 from hitchopt.tables import table
+from tests.helpers.clocks import Clock
 from tests.helpers.commands import TRIANGLE, refused, run, started, strict
 from tests.helpers.plans import BAD, ROOT
 
@@ -594,6 +595,17 @@ def test_a_terminal_sees_a_bar_filled_by_counts_and_a_file_none(
         ("0 of 0 done", (None, None)),
     ):
         assert progress_in(message) == done
+
+
+def test_long_work_without_a_terminal_is_reported_now_and_then(clock: Clock) -> None:
+    written = io.StringIO()
+    with contextlib.redirect_stderr(written), ProgressBar("planning") as progress:
+        for count in range(100):
+            progress(f"certifying, {count} of 100")
+    lines = written.getvalue().splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["20 s", "80 s"]
+    assert lines[0].endswith(": certifying, 18 of 100")
+    assert clock.now == 102.0
 
 
 def test_a_key_of_a_file_that_is_called_as_an_option_is_placed_in_the_file(tmp_path: Path) -> None:

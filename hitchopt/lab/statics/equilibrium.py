@@ -32,7 +32,7 @@ from hitchopt.values.fields import Key, keys_of
 from hitchopt.values.units import AXIAL_FORCE, FRICTION, STIFFNESS
 
 POSITIVE = float(np.finfo(np.float64).tiny)  # Smallest positive number
-LARGEST = float(np.finfo(np.float64).max)  # Largest finite number
+LARGEST = 1e12  # Largest magnitude of a finite condition: powers of it do not overflow
 
 # Values of the plan, and conditions with an axis of samples, and their numbers of other axes
 PLANNED = {"t": 0, "positions": 2, "vertices": 2, "tensions": 1, "cable_forces": 2}
@@ -93,8 +93,8 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
         "stiffness": ((*drones, 3), POSITIVE),
         "integral": ((*drones, 3), 0.0),
         "feed_forward": (drones, 0.0),
-        "offsets": ((*drones, 3), -np.inf),
-        "forces": ((*drones, 3), -np.inf),
+        "offsets": ((*drones, 3), -LARGEST),
+        "forces": ((*drones, 3), -LARGEST),
         "axial_stiffness": ((), POSITIVE),
         "friction": ((), 0.0),
     }
@@ -121,7 +121,7 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
         if item_shape != shape or not np.all((values >= lower) & (values <= upper)):
             size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(lower, "")
             array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
-            bound = f"one {size}number{array}"
+            bound = f"one {size}number up to {LARGEST:g}{array}"
             raise InputError(name, value, bound, "use plain numbers in SI units")
         conditions[name] = values
     conditions["stiffness"] = np.where(
