@@ -22,12 +22,12 @@ import hitchopt as ho
 from benchmarks.measuring import Array, Table, most_common, parser, timed
 from hitchopt import verify
 from hitchopt.checks import certify
-from hitchopt.checks.losses import after_losses
 from hitchopt.lab.simulation.cuts import task_with_cut
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import loss_outcome
 from hitchopt.lab.simulation.settings import PRESETS, Loss, Settings
 from hitchopt.lab.simulation.task import Task
+from hitchopt.losses.checks import after_losses
 from hitchopt.values.fields import with_fields
 from problems.random_morph import is_certified
 

@@ -25,9 +25,9 @@ from hitchopt.lab.flights.readers import read_flight as read_flight
 from hitchopt.lab.simulation.report import simulate as simulate
 from hitchopt.lab.statics.calibrate import calibrate as calibrate
 from hitchopt.lab.statics.equilibrium import equilibrium as equilibrium
-from hitchopt.outline_fit import fit as fit
+from hitchopt.carrying.outline_fit import fit as fit
 from hitchopt.lab.statics.tolerance import tolerance as tolerance
-from hitchopt.live.reacting import Player as Player
+from hitchopt.losses.reacting import Player as Player
 from hitchopt.live.replanner import Replanner as Replanner
 from hitchopt.mission.cache import Cache as Cache
 from hitchopt.mission.loading import load_problem as load_problem
@@ -39,13 +39,13 @@ from hitchopt.motion.flight import Flight as Flight
 from hitchopt.motion.motion import Motion as Motion
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
-from hitchopt.planners.forming import SwapSettings as SwapSettings
+from hitchopt.forming.swap_settings import SwapSettings as SwapSettings
 from hitchopt.planners.path import Path as Path
 from hitchopt.stages import route as route, time as time
-from hitchopt.steps.carrying import *
+from hitchopt.carrying.steps import *
 from hitchopt.steps.moving import *
-from hitchopt.steps.tying import *
-from hitchopt.steps.flying import Fly as Fly
+from hitchopt.forming.steps import *
+from hitchopt.swarms.steps import Fly as Fly
 
 __version__: str
 __all__: list[str]

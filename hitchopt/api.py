@@ -15,13 +15,14 @@ import numpy as np
 
 from hitchopt.checks.custom import Rule
 from hitchopt.errors import InfeasibleError, InputError, Progress, time_limit
+from hitchopt.forming.steps import Assign, Form
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
 from hitchopt.mission.cache import Cache
 from hitchopt.mission.others import Other
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.starts import DronesStart, HitchStart, Start
 from hitchopt.motion.motion import Motion
@@ -29,11 +30,10 @@ from hitchopt.motion.request import check_request
 from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
 from hitchopt.planners.candidates import error_of, outcome
-from hitchopt.planners.forming import SwapSettings
+from hitchopt.repairs.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.steps.keys import Legs, Polygon, SettleAtEnd
 from hitchopt.steps.moving import Morph
 from hitchopt.steps.step import Step
-from hitchopt.steps.tying import Assign, Form
 from hitchopt.storage.yaml_file import read_text
 from hitchopt.values import Points, check_instance, integer, path, positive, sequence, text
 from hitchopt.values.fields import suggest_keywords

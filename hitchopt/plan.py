@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.friction_shifts import REST_SHIFT, SETTLED
 from hitchopt.checks.registry import NAMES
 from hitchopt.checks.separation import CLOSENESS_SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, contained, short
+from hitchopt.friction.shifts import REST_SHIFT, SETTLED
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_teams
 from hitchopt.motion.flight import Flight
@@ -184,7 +184,7 @@ class Plan(OneLine):
         ``rate`` is the sampling rate [Hz]; the end is included. Raises UnsupportedError if
         pandas is not installed.
         """
-        from hitchopt.exports.directory import data_frame
+        from hitchopt.directory import data_frame
 
         return data_frame(self.flight, rate)
 
@@ -244,7 +244,7 @@ class Plan(OneLine):
         InputError: an unknown robot, one whose loss leaves two pieces, or a time without a hitch.
         InfeasibleError: a limit that is not kept after the loss.
         """
-        from hitchopt.live.losing import after_loss_of
+        from hitchopt.losses.losing import after_loss_of
 
         found = after_loss_of(self.flight, str(robot), t, how)
         title = f"{self.title} (robot {robot} lost at {t:g} s)".strip()
@@ -271,7 +271,7 @@ class Plan(OneLine):
         InputError: the rate is not positive.
         FileError: the directory is not writable.
         """
-        from hitchopt.exports.directory import REPORT, save_plan
+        from hitchopt.directory import REPORT, save_plan
 
         folder = path("directory", directory)
         is_drawn = flag("picture", picture)
@@ -294,7 +294,7 @@ class Plan(OneLine):
 
         Raises FileError if another plan is there, or the directory is not writable.
         """
-        from hitchopt.exports.directory import save_picture
+        from hitchopt.directory import save_picture
         from hitchopt.view.pictures import draw_summary
         from hitchopt.view.style import save_figure
 
@@ -318,7 +318,7 @@ class Plan(OneLine):
         ``ghost`` is the file or directory of another plan, a simulated flight or an evaluation to
         show for comparison.
         """
-        from hitchopt.exports.directory import REPORT
+        from hitchopt.directory import REPORT
 
         folder = path("directory", directory)
         writers = {REPORT: lambda file: self._write_report(file, folder, ghost)}

@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.drones.controllers import Gains
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.others import Other
 from hitchopt.motion.request import decoded, encoded
 from hitchopt.planners.ends import RolledLegs
-from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps import STEPS
 from hitchopt.steps.moving import Hold, Morph, MoveStep
 from hitchopt.steps.step import Step

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hitchopt as ho
+from hitchopt.carrying.planner import check_pull
 from hitchopt.errors import InfeasibleError, rounded_down, rounded_up
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.carrying.planner import check_pull
 from hitchopt.planners.timing.timed_motion import check_duration
 
 sizes = st.floats(1e-6, 1e6)

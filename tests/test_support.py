@@ -16,6 +16,8 @@ import pytest
 from generators.support_page import write_support_page
 
 import hitchopt as ho
+from hitchopt.carrying.enclosing import object_of
+from hitchopt.carrying.polygons import grip_clasps
 from hitchopt.checks.certifying import certify
 from hitchopt.errors import HitchoptError
 from hitchopt.exports.held_tension import held_tension
@@ -27,8 +29,6 @@ from hitchopt.lab.statics.tolerance import taut_times
 from hitchopt.motion.flight import TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import final_hitch
-from hitchopt.planners.carrying.polygons import grip_clasps
-from hitchopt.planners.enclosing import object_of
 from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.support import REFUSALS, Feature, Neighbour
 from tests.helpers import carried_plans

@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.errors import Progress, TimeIsUp, TimeLimitError, check_time, time_left, time_limit
-from hitchopt.mission.repair import find_suggestions
+from hitchopt.repairs.repair import find_suggestions
 from hitchopt.steps import STEP_KINDS
 from tests.helpers.clocks import Clock
 from tests.helpers.plans import PROBLEMS, planned

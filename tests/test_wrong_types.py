@@ -16,18 +16,18 @@ import pytest
 from click.testing import CliRunner
 
 import hitchopt as ho
+from hitchopt.carrying.outline_fit import _section_of
 from hitchopt.cli import main
+from hitchopt.forming.steps import Form
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Assignment
 from hitchopt.lab.flights.recordings import Track
 from hitchopt.lab.statics.tolerance import ErrorSize
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.others import Other
-from hitchopt.outline_fit import _section_of
-from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps import STEPS, Step
 from hitchopt.steps.moving import Hold, Morph, Transport
-from hitchopt.steps.tying import Form
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values.fields import EMPTY, keys_of

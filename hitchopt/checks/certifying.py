@@ -10,7 +10,6 @@ from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 from hitchopt.checks import arena, tracking
-from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.distances import GROUND, UNBOUNDED
@@ -33,6 +32,7 @@ from hitchopt.motion.plan_file import flight_digest
 from hitchopt.motion.retiming import padded
 from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.objects.placing import CONTACT_GAP
+from hitchopt.teams.across import check_across, radius_across
 from hitchopt.values import check_instance, nonnegative, sequence
 from hitchopt.values.fields import suggest_keywords
 

@@ -13,18 +13,18 @@ from hitchopt.checks import (
     crossing,
     drones,
     grips,
-    losses,
     separation,
     stops,
     support,
 )
 from hitchopt.checks.downwash import DOWNWASH
-from hitchopt.checks.friction_shifts import FRICTION_SHIFT, REST_SHIFT
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, FlightReport, Quantity, ReportRule
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.checks.vertex_errors import VERTEX_ERROR
+from hitchopt.friction.shifts import FRICTION_SHIFT, REST_SHIFT
 from hitchopt.hitch.pairs import Kind
+from hitchopt.losses import checks as losses
 
 RULES = (
     separation.SEPARATION,

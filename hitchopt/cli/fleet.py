@@ -339,7 +339,7 @@ def react(directory: Path, lose: str, at: float, output: Path, then: str) -> Non
     Writes a plan to OUT. It begins with the loss: all fly on, for 0.1 s or to the next prepared
     stop, the lost robot's drones rise, and the others form a chain.
     """
-    from hitchopt.live.losing import after_loss_of
+    from hitchopt.losses.losing import after_loss_of
     from hitchopt.motion.plan_file import read_plan
 
     flight = read_plan(plan_path(directory))

@@ -47,8 +47,8 @@ from hitchopt.errors import (
 from hitchopt.tables import table
 
 if TYPE_CHECKING:
-    from hitchopt.mission.repair import Suggestion
     from hitchopt.motion.flight import Flight
+    from hitchopt.repairs.repair import Suggestion
 
 MIN_SEARCH_TIME = 1e-3  # Minimum time limit of the search for changes [s]
 SEARCH_ENDED = "the search for changes ended at the time limit (--limit)"
@@ -94,7 +94,7 @@ def solve(
     """
     from hitchopt.exports.options import checked_rate
     from hitchopt.mission.loading import parse_problem
-    from hitchopt.mission.repair import MAX_SUGGESTIONS
+    from hitchopt.repairs.repair import MAX_SUGGESTIONS
     from hitchopt.storage.yaml_file import located, read_text
     from hitchopt.values import integer, positive
 
@@ -159,7 +159,7 @@ def _plan(
     problem: ho.Problem, text: str, folder: Path, rate: float, limit: float, *, report: bool
 ) -> ho.Plan:
     """Plan, show and write a problem; return its plan."""
-    from hitchopt.exports.directory import certificate_content
+    from hitchopt.directory import certificate_content
     from hitchopt.exports.exporting import tracking_notes
     from hitchopt.storage.archive import PLAN
 
@@ -214,7 +214,7 @@ def _leave_diagnosis(
     ``seconds`` [s]. The problem's text with one change is written to a file: ``repair_to`` is the
     text, the file and the number of the change.
     """
-    from hitchopt.exports.directory import diagnosis_content, save_diagnosis
+    from hitchopt.directory import diagnosis_content, save_diagnosis
     from hitchopt.storage.files import DIAGNOSIS, PREVIOUS
 
     report_error(error)  # first, in case the diagnosis cannot be written
@@ -240,7 +240,7 @@ def _leave_diagnosis(
 
 def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[Suggestion]) -> None:
     """Write a problem's text with the suggestion numbered ``take``, from 1, if it exists."""
-    from hitchopt.mission.changes import with_edits_in
+    from hitchopt.repairs.changes import with_edits_in
 
     if take > len(suggestions):
         say(f"{path} is not written: there is no suggestion {take} (--take)", err=True)
@@ -256,7 +256,7 @@ def _suggestions(
 ) -> tuple[tuple[Suggestion, ...], str]:
     """Report and return changes that make the problem feasible, and a note on the time limit."""
     from hitchopt.errors import time_left, time_limit
-    from hitchopt.mission.repair import NO_CHANGE, find_suggestions
+    from hitchopt.repairs.repair import NO_CHANGE, find_suggestions
 
     suggestions: tuple[Suggestion, ...] = ()
     note = SEARCH_ENDED
@@ -292,7 +292,7 @@ def check(
     closest: bool,
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
-    from hitchopt.exports.directory import (
+    from hitchopt.directory import (
         certificate_content,
         certificate_differences,
         changed_tables,

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hitchopt.checks.certificate import Check, worst_of
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.directory import changed_tables
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.contents import (
     ERROR,
@@ -39,7 +40,6 @@ from hitchopt.exports.contents import (
     read_manifest,
     warning,
 )
-from hitchopt.exports.directory import changed_tables
 from hitchopt.exports.firmware import SETTINGS, mapping_at, settings_findings
 from hitchopt.exports.format import Format, format_of, own_endings, usable_formats
 from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, SHOW_LIMITS

@@ -27,8 +27,10 @@ from hitchopt.checks.arena import height_above_floor
 from hitchopt.checks.certifying import check_of
 from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.violations import infeasible_error
+from hitchopt.directory import ABORT_PLANS, ABORTS
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
-from hitchopt.exports.directory import ABORT_PLANS, ABORTS
+from hitchopt.forming.steps import Release
+from hitchopt.forming.tying import vertical_motion
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
@@ -41,10 +43,8 @@ from hitchopt.motion.retiming import append_motion, on_clock, resting, truncated
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_world
 from hitchopt.planners.candidates import outcome
-from hitchopt.planners.forming.stages import stage, straight_lines
+from hitchopt.planners.stages import stage, straight_lines
 from hitchopt.planners.task import RestState, StepTask
-from hitchopt.planners.tying import vertical_motion
-from hitchopt.steps.tying import Release
 from hitchopt.storage.archive import READ_ERRORS
 from hitchopt.storage.files import digest, file_bytes, parsed_json, replace_files, write_strict_json
 from hitchopt.trajectory.clock_phases import ClockPhases

@@ -18,9 +18,9 @@ import numpy as np
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import Aborts, AbortTable, moves_standing
-from hitchopt.live.losing import check_loss, dropped_at_rest, team_of
 from hitchopt.live.player import Setpoints
-from hitchopt.live.reacting import Player
+from hitchopt.losses.losing import check_loss, dropped_at_rest, team_of
+from hitchopt.losses.reacting import Player
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT
 from hitchopt.motion.states import flight_states_at

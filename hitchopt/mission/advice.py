@@ -17,9 +17,9 @@ from hitchopt.drones.controllers import Tube, of_same_firmware
 from hitchopt.errors import EXCHANGED, InfeasibleError, StepPlace, Violation
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.mission.alternatives import can_be_stiffer
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
+from hitchopt.repairs.alternatives import can_be_stiffer
 from hitchopt.steps.step import Step
 
 WIDENED = names_of(rule for rule in RULES if rule.pairs)

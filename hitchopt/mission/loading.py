@@ -26,9 +26,9 @@ from hitchopt.mission.problem import (
     check_team_names,
 )
 from hitchopt.objects import SolidObject
-from hitchopt.steps.flying import SWARM_PLACES, Fly
 from hitchopt.steps.keys import TRIANGLE
 from hitchopt.storage.yaml_file import located, parse_yaml, plain, read_text, split_key, value_at
+from hitchopt.swarms.steps import SWARM_PLACES, Fly
 from hitchopt.values import MAPPING, SYNONYMS, form_error, form_of
 from hitchopt.values.fields import (
     Key,

@@ -12,6 +12,7 @@ from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.registry import NAMES, RULE_OF_KEY
 from hitchopt.drones.quadrotor import quadrotors
 from hitchopt.errors import Circumstance, InputError, Missing
+from hitchopt.forming.steps import Form
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.requirements import (
@@ -31,10 +32,9 @@ from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.steps import STEP_KINDS
-from hitchopt.steps.flying import SWARM_PLACES, Fly
 from hitchopt.steps.keys import TRIANGLE, shown_legs
 from hitchopt.steps.step import Step
-from hitchopt.steps.tying import Form
+from hitchopt.swarms.steps import SWARM_PLACES, Fly
 from hitchopt.values import ByValue, check_instance, closest_word, sequence
 from hitchopt.values.fields import (
     Key,

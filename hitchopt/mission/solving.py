@@ -20,6 +20,7 @@ from hitchopt.errors import (
     Violation,
     planners_faults,
 )
+from hitchopt.friction.settling import with_settling
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
@@ -28,18 +29,17 @@ from hitchopt.mission.advice import placed_in_step, refusal, with_tilt_advice, w
 from hitchopt.mission.cache import Cache, digest
 from hitchopt.mission.problem import Problem, TeamMission
 from hitchopt.mission.starts import DronesStart, HitchStart
-from hitchopt.mission.teams import CertifiedFlight, schedule_teams
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.candidates import Effort, explained_once
 from hitchopt.planners.ends import split_hitch
 from hitchopt.planners.path import Path
 from hitchopt.planners.rests import check_at_rest, check_start
-from hitchopt.planners.settling import with_settling
 from hitchopt.planners.task import RestState, StepPlan, StepTask
 from hitchopt.steps.blended import plan_blended
 from hitchopt.steps.hitch_step import NonstopStep
 from hitchopt.steps.step import Step
+from hitchopt.teams.planning import CertifiedFlight, schedule_teams
 
 AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from hitchopt.checks.registry import distances_from, names_of
 from hitchopt.errors import AT_END
+from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import end_of_transport
 from hitchopt.planners.morph.actions import Action, ActionMorph, FlownAction
 from hitchopt.planners.morph.detours import Translatable, detours

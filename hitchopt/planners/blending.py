@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Phase
 from hitchopt.planners.along import past_obstacles
 from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.morph.legs import largest_roll, rolling_paths
 from hitchopt.planners.morph.morph import BlendedMorph, check_distances
 from hitchopt.planners.path import Path

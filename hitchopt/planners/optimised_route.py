@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.errors import HitchoptError, InfeasibleError, Reason
+from hitchopt.friction.compensation import compensated
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.along import past_obstacles, plan_along
 from hitchopt.planners.candidates import Effort, if_feasible
-from hitchopt.planners.compensation import compensated
 from hitchopt.planners.morph.morph import load_violation, shape_violation
 from hitchopt.planners.path import Path
 from hitchopt.planners.task import StepPlan, StepTask, require_certified

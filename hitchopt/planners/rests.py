@@ -12,7 +12,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.forming.stages import stage
+from hitchopt.planners.stages import stage
 from hitchopt.planners.task import RestState, StepPlan, StepTask, require_certified
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array

@@ -9,13 +9,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.errors import AT_END
+from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.motion import Phase
 from hitchopt.planners.along import past_obstacles, plan_along, straight_plan
 from hitchopt.planners.candidates import Candidate, first_certified, if_feasible
-from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import SlackSplit, end_of_morph
 from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.optimised_route import OptimisedRoute

@@ -8,18 +8,18 @@ from functools import cached_property
 
 import numpy as np
 
+from hitchopt.carrying.planner import GraspState, MovePlanner
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.certifying import certify_part
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import Progress, RequestError, StepPlace
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Effort
-from hitchopt.planners.carrying.planner import GraspState, MovePlanner
-from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.path import Path
 from hitchopt.planners.timing.timed_motion import check_duration
 from hitchopt.values import Array

@@ -4,7 +4,9 @@ A module's ``__all__`` names its steps. From these lists follow the attributes o
 keys of problem files and the pages of the reference.
 """
 
-from hitchopt.steps import carrying, moving, tying
+from hitchopt.carrying import steps as carrying
+from hitchopt.forming import steps as tying
+from hitchopt.steps import moving
 from hitchopt.steps.step import Step as Step
 
 STEPS: tuple[type[Step], ...] = tuple(

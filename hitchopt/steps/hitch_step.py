@@ -8,10 +8,10 @@ from functools import partial
 from typing import ClassVar
 
 from hitchopt.errors import AT_END
+from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.hitch import Hitch
 from hitchopt.planners.along import action_plan, rolling_action_plan
 from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action
 from hitchopt.planners.morph import actions
 from hitchopt.planners.morph.actions import Action

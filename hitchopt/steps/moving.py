@@ -14,6 +14,7 @@ import numpy as np
 from hitchopt.checks.drones import VERTEX_SPEED
 from hitchopt.checks.registry import RULE_OF, distances_of, names_of
 from hitchopt.errors import InfeasibleError, InputError, RequestError, Violation
+from hitchopt.friction.settling import settling_plan
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
@@ -24,7 +25,6 @@ from hitchopt.planners.candidates import Candidate
 from hitchopt.planners.ends import End, end_of_morph, end_of_transport, moved_points
 from hitchopt.planners.rests import hover_motion, rest_motion
 from hitchopt.planners.routes import RouteSearch
-from hitchopt.planners.settling import settling_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.hitch_step import ActionStep, HitchStep, NonstopStep, ShapeStep
 from hitchopt.steps.keys import (

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Literal, Self
 
+from hitchopt.carrying.moves import Move
+from hitchopt.carrying.planner import GraspState
 from hitchopt.errors import Circumstance, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
@@ -16,8 +18,6 @@ from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.moves import Move
-from hitchopt.planners.carrying.planner import GraspState
 from hitchopt.planners.ends import SlackSplit
 from hitchopt.planners.task import StepPlan, StepTask, slowed_to_duration
 from hitchopt.planners.timing.timed_motion import check_duration

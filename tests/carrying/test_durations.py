@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.families import lower_bound
+from hitchopt.carrying.planner import AROUND_SPEED, CLOSING_SPEED
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.carrying.planner import AROUND_SPEED, CLOSING_SPEED
 from hitchopt.values import Array
 from tests.helpers.carried_plans import plan
 from tests.helpers.groups import part

@@ -17,6 +17,7 @@ from scipy.optimize import brentq
 import hitchopt as ho
 from benchmarks.families import wild_carry
 from hitchopt import verify as second
+from hitchopt.carrying.planner import check_opens
 from hitchopt.checks.grips import GRIP, Gripped, arc_lengths
 from hitchopt.checks.stops import carried_paths
 from hitchopt.errors import FileError
@@ -27,7 +28,6 @@ from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.retiming import cut
 from hitchopt.objects.placing import in_frame
-from hitchopt.planners.carrying.planner import check_opens
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 from hitchopt.verify.objects import gripped

@@ -11,13 +11,13 @@ import pytest
 import hitchopt as ho
 from benchmarks.families import wild_carry
 from hitchopt import verify
+from hitchopt.carrying.hold_search import START_SPLITS, HoldSearch
+from hitchopt.carrying.holds import RestHold
+from hitchopt.carrying.polygons import rest_polygons
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import RIM_CUT
 from hitchopt.objects import Rim, Section
-from hitchopt.planners.carrying.hold_search import START_SPLITS, HoldSearch
-from hitchopt.planners.carrying.holds import RestHold
-from hitchopt.planners.carrying.polygons import rest_polygons
 
 BODY = ho.SolidObject(
     Section(np.array([[-0.11, -0.08], [-0.11, 0.08], [0.11, 0.08], [0.11, -0.08]])),

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.carrying.moves import SmoothLaw
 from hitchopt.objects.placing import footing
-from hitchopt.planners.carrying.moves import SmoothLaw
 from tests.helpers import carried_plans as plans
 
 

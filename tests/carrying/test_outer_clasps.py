@@ -10,8 +10,8 @@ import pytest
 import hitchopt as ho
 from benchmarks.families import wild_carry
 from hitchopt import verify
+from hitchopt.carrying.polygons import MIN_INSET, OUTER_INSET, rest_polygons
 from hitchopt.objects import Rim, Section
-from hitchopt.planners.carrying.polygons import MIN_INSET, OUTER_INSET, rest_polygons
 
 RIMS = {
     "round": ho.SolidObject(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.carrying.holds import MAX_REST_ACCELERATION
 from hitchopt.checks.certifying import certify, merged
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
@@ -18,7 +19,6 @@ from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.motion.retiming import cut
 from hitchopt.objects.placing import in_frame
-from hitchopt.planners.carrying.holds import MAX_REST_ACCELERATION
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.motion.motion import HoldBy
-from hitchopt.objects import Rim, Section
-from hitchopt.outline_fit import fit
-from hitchopt.planners.carrying.holds import RestHold
-from hitchopt.planners.carrying.moves import Move, SmoothLaw
-from hitchopt.planners.carrying.polygons import EDGE_MARGIN
-from hitchopt.planners.grasps import (
+from hitchopt.carrying.grasps import (
     MASS_RESOLUTION,
     HoldJudge,
     hold_polygons,
     team_for_rim,
 )
+from hitchopt.carrying.holds import RestHold
+from hitchopt.carrying.moves import Move, SmoothLaw
+from hitchopt.carrying.outline_fit import fit
+from hitchopt.carrying.polygons import EDGE_MARGIN
+from hitchopt.hitch.requirements import Limits, Requirements
+from hitchopt.motion.motion import HoldBy
+from hitchopt.objects import Rim, Section
 from hitchopt.values import Array
 
 GAP = 0.035 + EDGE_MARGIN

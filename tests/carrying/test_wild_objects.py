@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import hitchopt as ho
-from hitchopt.planners.enclosing import enclosing_planners
+from hitchopt.carrying.enclosing import enclosing_planners
 from hitchopt.planners.task import RestState, StepTask
 
 FOLDER = Path(__file__).parent / "wild"

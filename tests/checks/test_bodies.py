@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.checks.across import check_across
 from hitchopt.checks.bodies import cable_sheets
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry import hull_offset
@@ -19,6 +18,7 @@ from hitchopt.motion.cable_state import STATES, CableState
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, shifted, slice_time
+from hitchopt.teams.across import check_across
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array

@@ -17,7 +17,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase, concatenated
-from hitchopt.planners.forming.stages import reversed_stages
+from hitchopt.planners.stages import reversed_stages
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array

@@ -11,14 +11,14 @@ import pytest
 import hitchopt as ho
 from hitchopt import verify
 from hitchopt.checks import Check, certify
-from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, own_objects
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.planners.schedule import SampledPath, slacks
+from hitchopt.teams.across import check_across, radius_across
+from hitchopt.teams.schedule import SampledPath, slacks
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from tests.helpers.groups import moved

@@ -7,13 +7,13 @@ from functools import partial
 import numpy as np
 import pytest
 
+from hitchopt.forming.prehitch import find_prehitch
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.motion import concatenated
-from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import (
+from hitchopt.planners.stages import (
     reversed_stages,
     straight_lines,
 )

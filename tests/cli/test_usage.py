@@ -213,7 +213,7 @@ SLOW = [pytest.mark.slow]
         ("click.Context.__init__", "", "SIGINT", "init x"),
         ("click.Context.close", "", "SIGTERM", "init -h"),
         pytest.param(
-            *("hitchopt.exports.directory.write_setpoints", "", "SIGTERM", f"{SOLVE} -o out"),
+            *("hitchopt.directory.write_setpoints", "", "SIGTERM", f"{SOLVE} -o out"),
             marks=SLOW,
         ),
     ],
@@ -221,7 +221,7 @@ SLOW = [pytest.mark.slow]
 def test_signals_end_quietly_wherever_they_come(
     target: str, within: str, name: str, words: str, place: Path
 ) -> None:
-    needs = "" if within else "import click, hitchopt.exports.directory"
+    needs = "" if within else "import click, hitchopt.directory"
     told = {"place": target, "within": within, "name": name, "words": words.split(), "needs": needs}
     done = started("-c", DISTURBED.format(**told))
     assert (done.returncode, done.stderr) == ({"SIGINT": 130, "SIGTERM": 143}[name], "")

@@ -22,9 +22,9 @@ from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
+from hitchopt.directory import write_setpoints, write_vertices
 from hitchopt.errors import FileError, InfeasibleError, InputError, UnsupportedError
 from hitchopt.exports.contents import read_manifest
-from hitchopt.exports.directory import write_setpoints, write_vertices
 from hitchopt.exports.exporting import export_flight
 from hitchopt.exports.format import format_of
 from hitchopt.exports.lint import lint

@@ -21,8 +21,8 @@ from click.testing import CliRunner
 from hitchopt.checks.certificate import CertificateError, Check
 from hitchopt.checks.certifying import certificate_of
 from hitchopt.cli import main
+from hitchopt.directory import changed_tables, diagnosis_content, save_diagnosis, save_plan
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Violation
-from hitchopt.exports.directory import changed_tables, diagnosis_content, save_diagnosis, save_plan
 from hitchopt.exports.lint import lint
 from hitchopt.lab.simulation.task import read_task
 from hitchopt.motion.flight import Flight

@@ -7,13 +7,13 @@ from functools import cache
 import numpy as np
 
 import hitchopt as ho
+from hitchopt.forming.prehitch import find_prehitch
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.motion import Motion, concatenated
-from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import stage
+from hitchopt.planners.stages import stage
 from hitchopt.trajectory import PiecewisePolynomial
 from tests.helpers.motions import row
 

@@ -12,8 +12,8 @@ import pytest
 import hitchopt as ho
 from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation
 from hitchopt.drones.quadrotor import GRAVITY, MODELS, Quadrotor
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch.team import Assignment, Swarm, Team
-from hitchopt.planners.forming import SwapSettings
 from tests.helpers.refusals import Refusal, assert_refused
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]

@@ -31,6 +31,8 @@ from hitchopt.errors import (
     InputError,
     JointInputError,
 )
+from hitchopt.forming.steps import Form
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.mission.loading import (
     load_problem,
@@ -39,10 +41,8 @@ from hitchopt.mission.loading import (
 )
 from hitchopt.mission.objects import ObjectKeys
 from hitchopt.mission.starts import HitchStart
-from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps import STEP_KINDS
 from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
-from hitchopt.steps.tying import Form
 from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key, value_at
 from hitchopt.values import SYNONYMS
 from hitchopt.values.fields import Key, keys_of

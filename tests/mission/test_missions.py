@@ -14,10 +14,10 @@ import pytest
 import hitchopt as ho
 from hitchopt import verify
 from hitchopt.errors import AT_END, StepPlace, Violation
+from hitchopt.forming.steps import Land, Release
 from hitchopt.mission.cache import contents
 from hitchopt.steps import Step
 from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
-from hitchopt.steps.tying import Land, Release
 from hitchopt.values import MAX_COORDINATE
 from hitchopt.values.fields import with_fields
 from problems.random_steps import random_timed_blend

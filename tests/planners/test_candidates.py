@@ -22,6 +22,8 @@ from hitchopt.errors import (
     TimeLimitError,
     Violation,
 )
+from hitchopt.forming import prehitch
+from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.candidates import (
     CANDIDATE_COST,
@@ -31,7 +33,6 @@ from hitchopt.planners.candidates import (
     first_certified,
     if_feasible,
 )
-from hitchopt.planners.forming import SwapSettings, prehitch
 
 
 def refused(value: float, limit: float = 1.0) -> InfeasibleError:
@@ -177,9 +178,9 @@ MORPH = {
 @pytest.mark.parametrize(
     ("problem", "place"),
     [
-        (FORM, "hitchopt.planners.forming.prehitch._ellipses"),
-        (FORM, "hitchopt.planners.tying.rest_plan"),
-        (FORM, "hitchopt.planners.forming.approach.straight_stages"),
+        (FORM, "hitchopt.forming.prehitch._ellipses"),
+        (FORM, "hitchopt.forming.tying.rest_plan"),
+        (FORM, "hitchopt.forming.approach.straight_stages"),
         (MORPH, "hitchopt.planners.along.straight_path"),
         pytest.param(MORPH, "hitchopt.planners.along.motion_along", marks=pytest.mark.slow),
     ],

@@ -20,8 +20,8 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import load_problem
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.forming.stages import straight_lines
 from hitchopt.planners.path import Path
+from hitchopt.planners.stages import straight_lines
 from hitchopt.planners.timing import stretch
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
 from hitchopt.planners.timing.profile import (

@@ -21,8 +21,8 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.exports.lint import lint
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.live.abort import Aborts
-from hitchopt.mission.alternatives import retuning_changes
-from hitchopt.mission.repair import find_suggestions
+from hitchopt.repairs.alternatives import retuning_changes
+from hitchopt.repairs.repair import find_suggestions
 from hitchopt.steps.moving import Hold
 from hitchopt.verify import verify
 from tests.helpers.plans import PROBLEMS, planned

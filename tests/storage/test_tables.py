@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hitchopt.directory import write_rows
 from hitchopt.errors import FileError
-from hitchopt.exports.directory import write_rows
 from hitchopt.storage.tables import Table, labelled_table, numeric_table, text_lines
 from hitchopt.values import Array
 

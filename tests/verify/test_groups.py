@@ -19,7 +19,6 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
-from hitchopt.checks.across import check_across
 from hitchopt.checks.certifying import check_of
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import magnitude
@@ -30,6 +29,7 @@ from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.request import check_request, request_of
+from hitchopt.teams.across import check_across
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from hitchopt.verify import drones, teams

@@ -18,10 +18,10 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.cli import main
-from hitchopt.exports.directory import certificate_content, certificate_differences
+from hitchopt.directory import certificate_content, certificate_differences
 from hitchopt.hitch.losses import Losses, places_after_loss
+from hitchopt.losses.table import after_loss
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.planners.losses import after_loss
 from hitchopt.storage.files import strict_json
 from hitchopt.verify import Row
 from hitchopt.verify.losses import (

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.directory import QUANTITIES, ROWS, write_rows
 from hitchopt.errors import FileError
 from hitchopt.exports.contents import FileContents, check_times, present_columns, required_module
-from hitchopt.exports.directory import QUANTITIES, ROWS, write_rows
 from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.placing import AXES
 from hitchopt.storage.archive import check_expansion, reading

@@ -268,7 +268,7 @@ def _rest_tables(calibration: Calibration) -> list[str]:
 
 def _fit_options() -> Sequence[click.Option]:
     """Return the option for the object and the team of a fit."""
-    from hitchopt.outline_fit import FitTask
+    from hitchopt.carrying.outline_fit import FitTask
     from hitchopt.values.fields import keys_of
 
     task = keys_of(FitTask)

@@ -15,7 +15,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.lab.simulation.settings import Loss
 from hitchopt.lab.simulation.task import RATE, Task, TeamTask
-from hitchopt.live.losing import Remaining, after_loss_of
+from hitchopt.losses.losing import Remaining, after_loss_of
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import (
     DRONE_FIELDS,

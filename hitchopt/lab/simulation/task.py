@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.directory import refuse_mixture
 from hitchopt.drones.controllers import EstimatorParameters, FlightController
-from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion, team_label

@@ -11,14 +11,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon
 from scipy.spatial import ConvexHull
 
+from hitchopt.carrying.outline_fit import GRIP, REST, Fit
+from hitchopt.directory import STATICS, STATICS_PICTURES
 from hitchopt.errors import InfeasibleError
-from hitchopt.exports.directory import STATICS, STATICS_PICTURES
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.holding import Grip
 from hitchopt.lab.statics.equilibrium import Equilibrium
 from hitchopt.lab.statics.tolerance import Tolerance
-from hitchopt.outline_fit import GRIP, REST, Fit
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.view import style
 

@@ -1,1 +1,0 @@
-"""Planners that hold and carry objects: polygons around them, holds, and moves."""

@@ -1,0 +1,1 @@
+"""Repair: the smallest changes that make a problem feasible, each verified by planning it."""

@@ -1,0 +1,1 @@
+"""Single drones: curves out of each other's downwash, by convex QPs, and their step."""

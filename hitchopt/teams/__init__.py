@@ -1,0 +1,1 @@
+"""Several teams in one airspace: their start times, and distances between them."""
