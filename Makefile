@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Threads of OpenBLAS only wait for small matrices; the command line sets the same.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo film coverage test test-slow test-all test-kernels browser lint types docs site gallery screenshots package smoke test-3.11 test-3.12 test-3.13 test-lowest clean
+.PHONY: demo film coverage test test-core slices test-slow test-all test-kernels browser lint types docs site gallery screenshots package smoke test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
@@ -22,6 +22,19 @@ film: $(VENV)/.filmed
 # What a change needs, in some ten minutes on two cores; pytest tests/ROOM runs all tests of a room.
 test: $(VENV)/.tested
 	$(BIN)/python -m pytest -m "not slow" --durations=20
+
+# The tests of the core that name no slice; they run without any of them.
+CORE_TESTS := tests/geometry tests/trajectory tests/objects tests/drones/test_attitude_loops.py \
+	tests/hitch/test_catenary.py tests/hitch/test_hitch.py tests/hitch/test_legs.py tests/hitch/test_model.py \
+	tests/hitch/test_casadi_model.py tests/hitch/test_motion.py tests/hitch/test_twists.py \
+	tests/checks/test_bounds.py tests/checks/test_closed_forms.py tests/checks/test_degenerate.py \
+	tests/planners/test_times.py tests/planners/test_retargeting.py tests/planners/test_stages.py
+test-core: $(VENV)/.tested
+	$(BIN)/python -m pytest -m "not slow" $(CORE_TESTS)
+
+# Removes one slice after the other, with what needs it, from a copy, and runs what is left.
+slices: $(VENV)/.tested
+	$(BIN)/python .ci/slices.py
 
 # The tests that take seconds each, marked slow.
 test-slow: $(VENV)/.tested

@@ -16,7 +16,7 @@ sys.path.insert(0, str(HERE))
 from generators.math_markup import add_renderer  # noqa: E402
 from generators.site_pages import write_pages  # noqa: E402
 
-from hitchopt.steps import STEPS  # noqa: E402
+from hitchopt.steps import STEP_KINDS  # noqa: E402
 
 project = "hitchopt"
 author = "The hitchopt developers"
@@ -50,7 +50,7 @@ autodoc_class_signature = "mixed"
 autodoc_default_options = {"members": True}
 numpydoc_show_class_members = False
 autosummary_filename_map = {
-    f"hitchopt.{kind.__name__}": f"hitchopt.steps.{kind.__name__}" for kind in STEPS
+    f"hitchopt.{kind.__name__}": f"hitchopt.steps.{kind.__name__}" for kind in STEP_KINDS.values()
 }
 """``hitchopt.Morph`` and ``hitchopt.morph`` are one file where cases are not distinguished."""
 nitpicky = True

@@ -1,12 +1,6 @@
 """The public names of ``__init__.py``, for type checkers and editors."""
 
-from hitchopt.api import export as export, form as form, morph as morph, morphs as morphs
-from hitchopt.api import (
-    repair as repair,
-    separate as separate,
-    solve as solve,
-    suggestions as suggestions,
-)
+from hitchopt.api import export as export, morph as morph, morphs as morphs, solve as solve
 from hitchopt.checks import Certificate as Certificate, Check as Check, certify as certify
 from hitchopt.checks.custom import ClaspSpans as ClaspSpans, DroneSpans as DroneSpans, Rule as Rule
 from hitchopt.checks.custom import VertexSpans as VertexSpans
@@ -27,7 +21,7 @@ from hitchopt.lab.statics.calibrate import calibrate as calibrate
 from hitchopt.lab.statics.equilibrium import equilibrium as equilibrium
 from hitchopt.carrying.outline_fit import fit as fit
 from hitchopt.lab.statics.tolerance import tolerance as tolerance
-from hitchopt.losses.reacting import Player as Player
+from hitchopt.live.player import Player as Player
 from hitchopt.live.replanner import Replanner as Replanner
 from hitchopt.mission.cache import Cache as Cache
 from hitchopt.mission.loading import load_problem as load_problem
@@ -39,10 +33,14 @@ from hitchopt.motion.flight import Flight as Flight
 from hitchopt.motion.motion import Motion as Motion
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
+from hitchopt.friction.steps import *
+from hitchopt.forming.api import form as form
 from hitchopt.forming.swap_settings import SwapSettings as SwapSettings
 from hitchopt.planners.path import Path as Path
 from hitchopt.stages import route as route, time as time
 from hitchopt.carrying.steps import *
+from hitchopt.repairs.api import repair as repair, suggestions as suggestions
+from hitchopt.swarms.api import separate as separate
 from hitchopt.steps.moving import *
 from hitchopt.forming.steps import *
 from hitchopt.swarms.steps import Fly as Fly

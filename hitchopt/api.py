@@ -15,8 +15,6 @@ import numpy as np
 
 from hitchopt.checks.custom import Rule
 from hitchopt.errors import InfeasibleError, InputError, Progress, time_limit
-from hitchopt.forming.steps import Assign, Form
-from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
@@ -29,8 +27,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.request import check_request
 from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
-from hitchopt.planners.candidates import error_of, outcome
-from hitchopt.repairs.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
+from hitchopt.planners.candidates import outcome
 from hitchopt.steps.keys import Legs, Polygon, SettleAtEnd
 from hitchopt.steps.moving import Morph
 from hitchopt.steps.step import Step
@@ -107,7 +104,7 @@ def solve(
         if isinstance(start, Hitch | HitchStart | DronesStart):
             bound = "a step, or a list of steps"
             raise InputError("mission", None, bound, "pass one, such as hitchopt.Hold(1.0)")
-        task = _loaded(start, key="start")
+        task = loaded(start, key="start")
         for name, value in _given({"mission": mission, **stated}).items():
             bound = "omitted: the problem states it"
             raise InputError(name, value, bound, "change it there, or pass a start and a mission")
@@ -115,7 +112,7 @@ def solve(
         check_instance("cache", cache, Cache)
     if added:
         task = replace(task, rules=(*task.rules, *added))
-    with time_limit(_seconds(limit), progress) as report:
+    with time_limit(seconds_of(limit), progress) as report:
         solution = solve_problem(task, report, cache=cache)
     check_request(task.request, solution.flight)
     return Plan(solution.flight, solution.certificate, task.title, source)
@@ -199,7 +196,7 @@ def morph(
         cost=cost,
         like=None if like is None else _tied_motion(like, start.team),
     )
-    seconds = _seconds(limit)
+    seconds = seconds_of(limit)
     problem = step_problem(start.team, start, step, limits, separation, arena)
     with step_errors(step):
         return solve(problem, limit=seconds)
@@ -291,68 +288,6 @@ def _bar(message: str, total: int) -> Iterator[Progress]:
         yield lambda _: bar.advance(task)
 
 
-@suggest_keywords
-def form(
-    team: Team,
-    q: Points,
-    r: Points,
-    polygon: Polygon,
-    altitude: float = 1.0,
-    legs: Legs | None = None,
-    assign: Assign = "auto",
-    swap: SwapSettings | None = None,
-    settle: SettleAtEnd = "auto",
-    duration: float | None = None,
-    *,
-    limits: Limits | None = None,
-    separation: Separation | None = None,
-    arena: Arena | None = None,
-    limit: float | None = None,
-) -> Plan:
-    """Return the certified plan of tying a hitch from drones with hanging cables.
-
-    Without ``legs`` they are spread, with a margin to the cables where drones are close to them.
-
-    Parameters
-    ----------
-    team: the robots; the drones of robot k start at ``q[k]`` and ``r[k]``.
-    q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.
-    polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one
-        more of the convex arc of an open chain.
-    altitude: height of the hitch's plane [m].
-    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with sharing (one of these) and roll_deg, at the step's end; spread without it.
-    assign: auto: choose which robot takes which edge, and which end is its q; fixed: in order.
-    swap: how drones turn in pairs.
-    settle: duration of the over-travels that end the step where cables slid against friction, added
-        to its duration [s]; auto: as far as limits allow; or false.
-    duration: exact duration [s]; default: as fast as the limits allow.
-    limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None: unlimited.
-
-    Raises
-    ------
-    InputError: an argument is invalid.
-    InfeasibleError: the step cannot be planned; lists the limits that bind, where and when.
-    TimeLimitError: no plan within ``limit``.
-    """
-    step = Form(
-        polygon=polygon,
-        altitude=altitude,
-        legs=legs,
-        assign=assign,
-        swap=swap or SwapSettings(),
-        settle=settle,
-        duration=duration,
-    )
-    seconds = _seconds(limit)
-    start = DronesStart(q, r)
-    check_instance("team", team, Team)
-    problem = step_problem(team, start, step, limits, separation, arena)
-    with step_errors(step):
-        return solve(problem, limit=seconds)
-
-
 def step_problem(
     team: Team,
     start: Hitch | DronesStart,
@@ -380,68 +315,12 @@ def step_errors(step: Step) -> Iterator[None]:
         raise error.renamed(lambda key: re.sub(nested, "", key) or step.name) from None
 
 
-@suggest_keywords
-def separate(
-    problem: Problem | str | Path,
-    progress: Progress | None = None,
-    *,
-    limit: float | None = None,
-) -> Plan:
-    """Return the certified plan of a problem of single drones that avoid each other's downwash.
-
-    Arguments and errors are those of ``solve``.
-    """
-    return solve(_loaded(problem, "swarm"), progress=progress, limit=limit)
-
-
-@suggest_keywords
-def suggestions(
-    problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
-) -> tuple[Suggestion, ...]:
-    """Return up to three changes that make a problem feasible, the smallest first.
-
-    Each change has been verified by planning the changed problem. It affects one quantity, or two
-    or three if no single one suffices. The result is empty if the problem is feasible. An empty
-    result for an infeasible problem does not prove that no change exists.
-
-    Parameters
-    ----------
-    problem: a problem, or the path of a problem file.
-    budget: search time [s]; the last plan is completed.
-    progress: status callback.
-    """
-    task = _loaded(problem, "hitch")
-    error = error_of(partial(solve_problem, task, progress))
-    return () if error is None else find_suggestions(task, error, budget, progress)
-
-
-@suggest_keywords
-def repair(
-    problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
-) -> Plan:
-    """Return the certified plan of a problem with the smallest change that makes it feasible.
-
-    The plan's title names the change; a feasible problem is planned unchanged. Arguments are those
-    of ``suggestions``. Raises InfeasibleError if no change is found.
-    """
-    task = _loaded(problem, "hitch")
-    plan = outcome(partial(solve, task, progress=progress))
-    if not isinstance(plan, InfeasibleError):
-        return plan
-    candidates = find_suggestions(task, plan, budget, progress)
-    if not candidates:
-        raise plan.with_note(NO_CHANGE)
-    change = candidates[0].change
-    plan = solve(change.problem, progress=progress)
-    return replace(plan, title=f"{task.title} with {change}".strip())
-
-
-def _seconds(limit: Any) -> float | None:
+def seconds_of(limit: Any) -> float | None:
     """Return a time limit [s], None if there is none; raise InputError if it is not positive."""
     return None if limit is None else positive("limit", limit)
 
 
-def _loaded(
+def loaded(
     given: Any, kind: Literal["hitch", "swarm"] | None = None, key: str = "problem"
 ) -> Problem:
     """Return a problem, of a kind if specified, loaded if it is a path."""

@@ -30,6 +30,7 @@ from hitchopt.motion.states import (
     iterate_flight_states,
     sample_times,
 )
+from hitchopt.slices import provided
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import (
     DIAGNOSIS,
@@ -135,9 +136,7 @@ def certificate_content(flight: Flight, certificate: Certificate, plan: Path) ->
     )
     content = {**certificate.to_dict(), **assigned}
     if any(flown.motion.requirements.limits.survive for flown in flight.teams):
-        from hitchopt.losses.table import after_loss
-
-        content[AFTER_LOSS] = after_loss(flight)
+        content[AFTER_LOSS] = provided("loss_table")(flight)
     return content | {"plan": digest(plan)}
 
 

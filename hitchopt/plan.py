@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,6 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import NAMES
 from hitchopt.checks.separation import CLOSENESS_SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, contained, short
-from hitchopt.friction.shifts import REST_SHIFT, SETTLED
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_teams
 from hitchopt.motion.flight import Flight
@@ -30,6 +30,7 @@ from hitchopt.motion.request import check_request
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.motion.states import States, final_hitch, flight_states_at
+from hitchopt.slices import hooks, provided
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
 from hitchopt.storage.yaml_file import parse_yaml
@@ -130,7 +131,8 @@ class Plan(OneLine):
             notes += assumption_notes(self.flight, request)
             notes += tracking_warnings(self.flight)
             notes += self._distance_notes()
-            notes += self._rest_notes()
+            for noted in hooks("notes"):
+                notes += noted(self.certificate.checks)
         return tuple(notes)
 
     def _distance_notes(self) -> Iterator[str]:
@@ -149,34 +151,18 @@ class Plan(OneLine):
                 "set limits.tracking to your drones' error"
             )
 
-    def _rest_notes(self) -> Iterator[str]:
-        """Yield a note if friction may hold a vertex farther off at rest than SETTLED."""
-        for check in self.certificate.checks:
-            if check.name == REST_SHIFT.name and check.limit is None and check.worst > SETTLED:
-                yield (
-                    f"friction may hold {', '.join(check.where)} {100.0 * check.worst:.2g} cm off "
-                    f"the plan, at rest at t = {check.time:.4g} s: settle, give vertices room to "
-                    "over-travel, or use smoother cables; limits.rest_shift refuses it"
-                )
-
     def _repr_html_(self) -> str:
         """Return the summary card for notebooks: picture, phases, certificate and notes."""
-        from hitchopt.view.pictures import plan_card
-
-        return plan_card(self.flight, self.certificate, self.title, self.notes)
+        card: str = provided("card")(self)
+        return card
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the start, paths and end from above on matplotlib axes; return the axes.
 
         Without ``axes``, a new pyplot figure is created.
         """
-        from matplotlib import axes as mpl_axes
-
-        from hitchopt.view.pictures import plot_from_above
-
-        if axes is not None and not isinstance(axes, mpl_axes.Axes):
-            raise InputError("axes", axes, "matplotlib axes", "omit it for a new figure")
-        return plot_from_above(self.flight, axes)
+        drawn: Axes = provided("plot")(self, axes)
+        return drawn
 
     def to_dataframe(self, rate: float = 100.0) -> DataFrame:
         """Return the rows of ``setpoints.csv``, with their phases, as a pandas data frame.
@@ -215,11 +201,8 @@ class Plan(OneLine):
         InputError: a time outside the plan, or an unknown reaction.
         InfeasibleError: no abort was found; lists the limits that bind.
         """
-        from hitchopt.live.abort import Aborts
-
-        entry = Aborts(self.flight).plan(t, how)
+        entry = provided("abort")(self.flight, t, how)
         rules = tuple(replace(rule, worst=None) for rule in self.stated_rules)
-        entry.certificate.raise_if_violated()
         certificate = entry.certificate.stating(rules)
         return Plan(entry.flight, certificate, f"{self.title} ({how} at {t:g} s)".strip())
 
@@ -244,9 +227,7 @@ class Plan(OneLine):
         InputError: an unknown robot, one whose loss leaves two pieces, or a time without a hitch.
         InfeasibleError: a limit that is not kept after the loss.
         """
-        from hitchopt.losses.losing import after_loss_of
-
-        found = after_loss_of(self.flight, str(robot), t, how)
+        found = provided("after_loss")(self.flight, str(robot), t, how)
         title = f"{self.title} (robot {robot} lost at {t:g} s)".strip()
         return Plan(found.flight, found.certificate, title)
 
@@ -295,22 +276,14 @@ class Plan(OneLine):
         Raises FileError if another plan is there, or the directory is not writable.
         """
         from hitchopt.directory import save_picture
-        from hitchopt.view.pictures import draw_summary
-        from hitchopt.view.style import save_figure
 
-        def write(file: Path) -> None:
-            save_figure(draw_summary(self.flight, self.certificate, self.title), file)
-
+        write = partial(provided("draw"), self)
         return save_picture(path("directory", directory), self.certificate, write)
 
     def _write_report(self, file: Path, directory: Path, ghost: Path | str | None = None) -> None:
         """Write the report, with the digests of the plan's files in ``directory``."""
-        from hitchopt.view.report import write_report
-        from hitchopt.view.scene import ghost_scene
-
-        other = None if ghost is None else ghost_scene(path("ghost", ghost), self.flight)
         content = self.flight, self.certificate, self.title, self.problem
-        write_report(file, *content, directory, other)
+        provided("report")(file, *content, directory, ghost)
 
     def report(self, directory: Path | str, *, ghost: Path | str | None = None) -> Path:
         """Write ``report.html``, one file that needs no network, into the plan's directory.
@@ -361,28 +334,16 @@ class Plan(OneLine):
         InputError, FileError: unknown suffix of the file, or a file that is not accessible.
         UnsupportedError: viser, or a library to write films, is not installed.
         """
-        if save is not None:
-            if ghost is not None:
-                bound = "None when a plan is written to a file"
-                raise InputError("ghost", str(ghost), bound, "omit save: ghosts are shown live")
-            from hitchopt.view.pictures import Page
-            from hitchopt.view.report import save_view
-
-            content = self.flight, self.certificate, self.title, self.problem
-            page = Page.of(width, height, panels)
-            save_view(path("save", save), *content, progress, page)
-            return None
-        import webbrowser
-
-        from hitchopt.view.live import LiveView, open_server
-        from hitchopt.view.scene import ghost_scene
-
-        other = None if ghost is None else ghost_scene(path("ghost", ghost), self.flight)
-        server = open_server(host, port)
-        live = LiveView(server, self.flight, self.certificate, self.title, ghost=other)
-        if browser:
-            webbrowser.open(live.url)
-        return live
+        shown: LiveView | None = provided("view")(
+            self,
+            save,
+            ghost=ghost,
+            figure=(width, height, panels),
+            address=(host, port),
+            browser=browser,
+            progress=progress,
+        )
+        return shown
 
     def export(
         self, format: str, folder: Path | str, *, progress: Progress | None = None, **options: Any
@@ -409,14 +370,13 @@ class Plan(OneLine):
         UnsupportedError: a library that the format needs is not installed, or the package that
             registers the format has none that can be used.
         """
-        from hitchopt.exports.exporting import export_flight
-        from hitchopt.exports.options import ExportOptions
-
-        parsed = ExportOptions(text("format", format), **options)
         place = path("folder", folder)
         self.certificate.raise_if_violated()
         saved = SavedPlan(self.flight, self.title, self.problem, self.stated_rules)
-        return export_flight(saved, parsed, place, progress)
+        exports: tuple[Export, ...] = provided("export")(
+            saved, text("format", format), place, progress, options
+        )
+        return exports
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.
@@ -456,13 +416,7 @@ def closest(
     pairs = closeness(plan.flight, integer("spans", spans, 1))
     if picture is not None:
         picture = path("picture", picture)
-        from hitchopt.view.pictures import draw_closeness
-        from hitchopt.view.style import save_figure
-
-        try:
-            save_figure(draw_closeness(plan.flight, pairs, width), picture)
-        except OSError as error:
-            raise FileError(f"{picture}: cannot be written: {error.strerror}") from error
+        provided("draw_closeness")(plan.flight, pairs, width, picture)
     return pairs
 
 
@@ -524,20 +478,8 @@ def read_requested_plan(file: Path) -> SavedPlan:
         except InputError as error:
             reason = " ".join(str(error).split())
             raise FileError(f"{file}: the problem in it differs: {reason}") from error
-        if differences := [*_contradicted(file)]:
-            raise FileError("\n".join(differences))
+        for contradictions in hooks("contradictions"):
+            if differences := contradictions(file):
+                messages = (f"{file}: {each}" for each in differences)
+                raise FileError("\n".join(messages))
     return saved
-
-
-def _contradicted(file: Path) -> Iterator[str]:
-    """Yield messages on keys of the problem in a plan file that its flight contradicts."""
-    from hitchopt.verify import UnreadableError, read, requested
-
-    try:
-        plans, _ = read(file)
-    except UnreadableError as error:
-        raise FileError(f"{file}: not a plan, or a damaged one: {error}") from error
-    for plan in plans:
-        for row in requested(plan):
-            if row.verdict == "violated":
-                yield f"{file}: the problem in it differs: {row.where}"

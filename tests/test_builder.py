@@ -19,8 +19,11 @@ from matplotlib import pyplot
 import hitchopt as ho
 from hitchopt.errors import MAX_REPR, OneLine, UnsupportedError, broken_limit, short
 from hitchopt.hitch.catenary import hanging_cable
-from hitchopt.steps import STEPS, Step
+from hitchopt.slices import by_module
+from hitchopt.steps import STEP_KINDS, Step
 from hitchopt.values.fields import keys_of
+
+ROOMS = ho.ROOM_NAMES | by_module("room_names")  # Names by their modules
 
 TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
 OTHER = [[0.35, -0.7], [-0.15, 0.7], [0.7, 0.75]]
@@ -57,7 +60,7 @@ def test_shortcuts_have_the_arguments_and_words_of_their_records(
         assert f"{name}: {meaning[0].lower()}{meaning[1:]}." in words
 
 
-@pytest.mark.parametrize("kind", [*STEPS, ho.Fly], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", [*STEP_KINDS.values(), ho.Fly], ids=lambda kind: kind.name)
 def test_help_of_a_step_has_its_keys(kind: type[Step]) -> None:
     words = " ".join(inspect.getdoc(kind).split())  # type: ignore[union-attr]
     assert [*inspect.signature(kind).parameters][: len(keys_of(kind))] == [*keys_of(kind)]
@@ -235,7 +238,7 @@ def test_every_public_record_is_written_on_one_line_whatever_its_values(values: 
     public = [getattr(ho, name) for name in ho.__all__]
     public += [
         getattr(import_module(f"hitchopt.{room}"), name)
-        for room, names in ho.ROOM_NAMES.items()
+        for room, names in ROOMS.items()
         for name in names
     ]
     records = [x for x in public if inspect.isclass(x) and not issubclass(x, BaseException)]
@@ -299,7 +302,7 @@ def test_every_public_function_suggests_arguments() -> None:
 
 
 def test_signatures_have_plain_types() -> None:
-    kinds: list[Any] = [*STEPS, ho.Fly, ho.Team, ho.Limits, ho.Problem, ho.Quadrotor]
+    kinds: list[Any] = [*STEP_KINDS.values(), ho.Fly, ho.Team, ho.Limits, ho.Problem, ho.Quadrotor]
     assert not any("Annotated" in str(inspect.signature(kind)) for kind in kinds)
     signature = str(inspect.signature(ho.Morph))
     for words in ("polygon: 'ArrayLike | Outline'", "duration: 'float | None' = None"):

@@ -23,12 +23,15 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.mission.others import Other
 from hitchopt.motion.request import decoded, encoded
 from hitchopt.planners.ends import RolledLegs
-from hitchopt.steps import STEPS
+from hitchopt.slices import by_module
+from hitchopt.steps import STEP_KINDS
 from hitchopt.steps.moving import Hold, Morph, MoveStep
 from hitchopt.steps.step import Step
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import ByValue
 from hitchopt.values.fields import EMPTY, keys_of
+
+ROOMS = ho.ROOM_NAMES | by_module("room_names")  # Names by their modules
 
 TRIANGLE = [[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]]
 ARC = [[-1.2, 0.1], [-0.4, 0.9], [0.4, 0.9], [1.2, 0.1]]
@@ -60,7 +63,7 @@ def examples() -> list[Any]:
         ho.Problem(swarm, [[0, 0, 1], [1, 0, 1]], [ho.Fly(np.array([[0, 1, 1], [1, 1, 1]]))]),
         *(SwapSettings(0.2), RolledLegs("spread", np.array([0.1, 0.2, 0.1]))),
         *(Assignment((1, 0), (True, False)), ho.Quadrotor(0.1, 2.0), Gains(kp=(1.0, 2.0))),
-        *(map(example_of, STEPS)),
+        *(map(example_of, STEP_KINDS.values())),
         example_of(ho.Fly),
         ho.Rule("height", "m", "max", 2.0, ho.DroneSpans, height),
     ]
@@ -186,9 +189,7 @@ RESULTS = frozenset(
 
 
 def test_all_other_public_records_compare_by_value() -> None:
-    in_rooms = [
-        (f"hitchopt.{room}", name) for room, names in ho.ROOM_NAMES.items() for name in names
-    ]
+    in_rooms = [(f"hitchopt.{room}", name) for room, names in ROOMS.items() for name in names]
     places = [*(("hitchopt", name) for name in ho.__all__), *in_rooms]
     public = {name: getattr(import_module(module), name) for module, name in places}
     records = {name: each for name, each in public.items() if inspect.isclass(each)}

@@ -41,8 +41,11 @@ from hitchopt.cli import main
 from hitchopt.cli.failures import EXIT_INFEASIBLE, EXIT_USAGE
 from hitchopt.cli.planning import PACKAGE, problem_text
 from hitchopt.mission.loading import problem_schema
+from hitchopt.slices import by_module
 from hitchopt.storage.interrupts import EXIT_INTERRUPTED
 from tests.helpers.plans import PROBLEMS, ROOT
+
+ROOMS = ho.ROOM_NAMES | by_module("room_names")  # Names by their modules
 
 FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 ALL_HOLD = re.compile(r"\b(\d+) of \1 limits hold")
@@ -297,7 +300,7 @@ def test_exit_codes_and_public_names_have_their_places() -> None:
     ]
     pages = text_of(DOCS / "reference" / "api.md") + write_steps_page()
     listed = re.findall(r"^   ([\w.]+)$", pages, re.MULTILINE)
-    in_rooms = [f"{room}.{name}" for room, names in ho.ROOM_NAMES.items() for name in names]
+    in_rooms = [f"{room}.{name}" for room, names in ROOMS.items() for name in names]
     assert sorted(listed) == sorted([*ho.__all__, *in_rooms])
 
 

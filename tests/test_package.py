@@ -19,8 +19,11 @@ import hitchopt
 from benchmarks.mutations import MUTATIONS
 from hitchopt.errors import Violation
 from hitchopt.lab.simulation.world import InvalidRunError
-from hitchopt.steps import STEPS
+from hitchopt.slices import SLICES, by_module
+from hitchopt.steps import STEP_KINDS
 from tests.helpers.plans import ROOT
+
+ROOMS = hitchopt.ROOM_NAMES | by_module("room_names")  # Names by their modules
 
 PACKAGE = Path(hitchopt.__file__).parent
 
@@ -48,11 +51,13 @@ def test_public_names_have_words_and_others_are_refused() -> None:
 
 
 def test_every_step_is_a_name_at_the_top() -> None:
-    assert [getattr(hitchopt, kind.__name__) for kind in STEPS] == [*STEPS]
+    assert [getattr(hitchopt, kind.__name__) for kind in STEP_KINDS.values()] == [
+        *STEP_KINDS.values()
+    ]
 
 
 def test_names_in_rooms_are_refused_with_their_place() -> None:
-    for room, names in hitchopt.ROOM_NAMES.items():
+    for room, names in ROOMS.items():
         for name in names:
             assert getattr(import_module(f"hitchopt.{room}"), name).__doc__
             assert name not in hitchopt.__all__
@@ -150,10 +155,11 @@ def test_nothing_public_is_unused_by_the_package() -> None:
     read = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Load)]
     known = {node.id for node in read if isinstance(node, ast.Name)} | CALLED
     known |= {node.attr for node in read if isinstance(node, ast.Attribute)} | {*hitchopt.__all__}
-    known |= {name for names in hitchopt.ROOM_NAMES.values() for name in names}
+    known |= {name for names in ROOMS.values() for name in names}
     texts = (str(node.value) for node in nodes if isinstance(node, ast.Constant))
-    known |= {kind.name for kind in STEPS}  # functions of planners/morph/actions.py
+    known |= {kind.name for kind in STEP_KINDS.values()}  # functions of planners/morph/actions.py
     known |= {text.rpartition(":")[2] for text in texts if re.fullmatch(CLASS_NAME, text)}
+    known |= {place.rpartition(":")[2] for each in SLICES for place in each.functions.values()}
     unused = [
         f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {name}"
         for path, each in syntax("hitchopt").items()

@@ -39,8 +39,9 @@ DIRECT = {
     "support.py": "the declaration",
     "exports/format.py": "formats of other packages",
     "exports/exporting.py": "formats of other packages",
+    "slices.py": "installations that lack a slice",
     "lab/simulation/exported.py": "files for viewers",
-    "cli/fleet.py": "operating systems",
+    "live/commands.py": "operating systems",
     "live/links.py": "packages of radios, and parameters on board",
     "view/own_pages.py": "versions of viser",
 }

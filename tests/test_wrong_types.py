@@ -26,7 +26,7 @@ from hitchopt.lab.flights.recordings import Track
 from hitchopt.lab.statics.tolerance import ErrorSize
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.others import Other
-from hitchopt.steps import STEPS, Step
+from hitchopt.steps import STEP_KINDS, Step
 from hitchopt.steps.moving import Hold, Morph, Transport
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Enclosed
@@ -68,7 +68,7 @@ def arguments(kind: type[Step]) -> dict[str, Any]:
 
 def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
     """Records of all kinds of steps, and the shortcuts for two of them."""
-    for kind in STEPS:
+    for kind in STEP_KINDS.values():
         yield kind, arguments(kind)
     for shortcut, kind, start in (
         (ho.morph, Morph, {"start": START}),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hitchopt.steps import STEPS
+from hitchopt.steps import STEP_KINDS
 
 PAGE = """# Steps in Python
 
@@ -22,4 +22,4 @@ Each step of a mission is a record, with the keys of problem files ({{doc}}`prob
 
 def write_steps_page() -> str:
     """Return the page."""
-    return PAGE.format(names="\n".join(f"   {kind.__name__}" for kind in STEPS))
+    return PAGE.format(names="\n".join(f"   {kind.__name__}" for kind in STEP_KINDS.values()))

@@ -21,6 +21,7 @@ from hitchopt.carrying.around import (
     slowed_to,
 )
 from hitchopt.carrying.grasps import Closing, HoldJudge, altitude_around
+from hitchopt.carrying.held import GRASP, grasp_of, held_of, plan_with_object
 from hitchopt.carrying.holds import GripHold, polygon_at
 from hitchopt.carrying.planner import (
     AROUND_SPEED,
@@ -31,7 +32,6 @@ from hitchopt.carrying.planner import (
 )
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_down, rounded_up
-from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.motion.motion import Motion, Phase, PhaseHold
 from hitchopt.objects import SolidObject
@@ -39,6 +39,7 @@ from hitchopt.objects.placing import CONTACT_GAP, stacked_on
 from hitchopt.planners.along import transport_plan
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.ends import RolledLegs, end_of_morph
+from hitchopt.planners.finishing import finished
 from hitchopt.planners.routes import morph_plan, plan_to_hitch
 from hitchopt.planners.task import (
     StepPlan,
@@ -174,7 +175,7 @@ def _plan_around(
             near = near.within(requirements, lower.after)
     grasp = GraspState(name, orientation.polygons, task.before.team.tension)
     motion = _in_one_phase(task, "enclose", duration, parts)
-    return StepPlan(motion, replace(near.before, grasp=grasp))
+    return StepPlan(motion, near.before.keeping(GRASP, grasp))
 
 
 def _plan_above(task: StepTask, polygon: ConvexPolygon, altitude: float) -> StepPlan:
@@ -210,12 +211,12 @@ def _descend(polygon: ConvexPolygon, altitude: float, task: StepTask) -> StepPla
     level = end_of_morph(task.hitch, polygon, None, task.requirements).hitch
     end = with_fields(level, altitude=altitude)
     plan = plan_to_hitch(task, end, Phase("morph", task.index, 0.0, 0.0))
-    return with_friction_feedforward(plan, timed=False)
+    return finished(plan, timed=False).plan
 
 
 def hold_judge(task: StepTask, tension: Array) -> HoldJudge:
     """Return the judge of holds of the enclosed object, with tensions (n,) [N]."""
-    return HoldJudge(task.held.from_state(tension=tension), task.hitch)
+    return HoldJudge(held_of(task).from_state(tension=tension), task.hitch)
 
 
 def resting_plan(task: StepTask, name: str, tension: Array, duration: float | None) -> StepPlan:
@@ -256,7 +257,7 @@ def resting_plan(task: StepTask, name: str, tension: Array, duration: float | No
         motion = _in_one_phase(task, "grasp", duration, parts, rising.phases[0].hold)
         if np.any(planner.hold.roll):  # drones and cables sink toward the ground
             require_certified(StepPlan(motion, task.before))
-        plan = task.plan_with_object(motion, planner.state, body.place)
+        plan = plan_with_object(task, motion, planner.state, body.place)
         return plan.with_remark(judge.remark_on(reserve))
 
     return first_certified(judge.candidates(held), task.effort, task.progress)
@@ -276,30 +277,30 @@ def gripping_plan(task: StepTask, name: str, tension: Array, duration: float | N
     planner = first_certified(grips, task.effort, task.progress)
     closing = planner.close_grip(team.tension, "grasp")
     motion = slowed_to_duration(closing, duration, closing.phases[0])
-    return task.plan_with_object(motion, planner.state, body.place)
+    return plan_with_object(task, motion, planner.state, body.place)
 
 
 def loosening_plan(task: StepTask, name: str, duration: float | None) -> StepPlan:
     """Return the plan of a hitch that lets go of an object, with the team's tension at its end."""
     body = object_of(task, name)
     team = task.before.team
-    planner = task.held
+    planner = held_of(task)
     hold = planner.hold
-    freed = replace(task.grasp, tension=team.tension, hold=None)
+    freed = replace(grasp_of(task), tension=team.tension, hold=None)
     if isinstance(hold, GripHold):
         opening = planner.open_grip(team.tension, "loosen")
         motion = slowed_to_duration(opening, duration, opening.phases[0])
-        after = task.plan_with_object(motion, freed, body.place).after
+        after = plan_with_object(task, motion, freed, body.place).after
         return StepPlan(motion, replace(after, hitch=hold.opened.hitch(body)))
     lower = planner.retension(planner.state.tension, team.tension)
     sinking = planner.motion([planner.rim_move(0.0, planner.gap), *lower], "loosen")
     held = replace(freed, hold=hold)
-    low = task.plan_with_object(sinking, held, body.place, planner.gap).after
+    low = plan_with_object(task, sinking, held, body.place, planner.gap).after
     slow = requirements_closing(task.requirements, name)
     around = morph_plan(task.within(slow, low), polygon_at(body, freed.polygons.around))
     parts = [sinking, around.motion]
     motion = _in_one_phase(task, "loosen", duration, parts, sinking.phases[0].hold)
-    return StepPlan(motion, replace(around.after, grasp=freed))
+    return StepPlan(motion, around.after.keeping(GRASP, freed))
 
 
 def leaving_plan(task: StepTask, duration: float | None) -> StepPlan:
@@ -310,4 +311,4 @@ def leaving_plan(task: StepTask, duration: float | None) -> StepPlan:
     goal = np.append(polygon.centroid, altitude)
     rising = transport_plan(task.within(slow, task.before), goal)
     motion = _in_one_phase(task, "leave", duration, [rising.motion])
-    return StepPlan(motion, replace(rising.after, grasp=None))
+    return StepPlan(motion, rising.after.keeping(GRASP, None))

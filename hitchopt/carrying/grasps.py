@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from hitchopt.carrying.hold_search import HoldSearch
+from hitchopt.carrying.holding import Capacity, grip_capacity
 from hitchopt.carrying.holds import RIM_EDGE, GripHold, HoldingHitch, RestHold, polygon_at
 from hitchopt.carrying.planner import BELOW_RIM, GraspState, MovePlanner
 from hitchopt.carrying.polygons import (
@@ -28,7 +29,6 @@ from hitchopt.checks.registry import distances_of, names_of
 from hitchopt.errors import InfeasibleError, Violation, rounded_up, violations_at
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.holding import Capacity, grip_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.objects import Rim, Section, SolidObject

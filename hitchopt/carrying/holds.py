@@ -16,6 +16,16 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from hitchopt.carrying.holding import (
+    Bends,
+    Grip,
+    PlannedClasps,
+    Wraps,
+    edge_ratios,
+    step_toward_balance,
+    straight_parts,
+    wraps_around,
+)
 from hitchopt.carrying.moves import Move, MoveState, SmoothLaw, polynomials
 from hitchopt.carrying.polygons import sides_of
 from hitchopt.checks.clasps import BALANCE_LIMIT
@@ -33,16 +43,6 @@ from hitchopt.hitch.forces import (
     sag_factors,
 )
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.hitch.holding import (
-    Bends,
-    Grip,
-    PlannedClasps,
-    Wraps,
-    edge_ratios,
-    step_toward_balance,
-    straight_parts,
-    wraps_around,
-)
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import RIM_CUT, RIM_REMEDY, Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.motion import HoldBy, Motion, Phase

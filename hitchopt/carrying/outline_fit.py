@@ -23,12 +23,12 @@ from hitchopt.carrying.grasps import (
     on_pillar,
     shortest_judge,
 )
+from hitchopt.carrying.holding import Capacity, Grip
 from hitchopt.carrying.polygons import EDGE_MARGIN, HoldPolygons
 from hitchopt.drones.quadrotor import Quadrotor, kinds_of
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
-from hitchopt.hitch.holding import Capacity, Grip
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm, Team
 from hitchopt.motion.motion import HoldBy

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hitchopt.carrying.holding import residual_grip
 from hitchopt.carrying.holds import GripHold, HoldingHitch
 from hitchopt.carrying.moves import MAX_STEP_SLOPE, Move, SmoothLaw
 from hitchopt.carrying.polygons import HoldPolygons
@@ -18,17 +19,16 @@ from hitchopt.checks import Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import value_cache
 from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_down
-from hitchopt.forming.circles import spread_hitch
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import BalanceError
-from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.twists import bend_together
 from hitchopt.motion.motion import Motion, Phase, PhaseHold, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
+from hitchopt.planners.ends import spread_hitch
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.values import Array
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hitchopt.carrying.holding import Grip
 from hitchopt.drones.quadrotor import Quadrotor
 from hitchopt.errors import (
     InfeasibleError,
@@ -27,7 +28,6 @@ from hitchopt.errors import (
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import left_of, length, turn, unit
 from hitchopt.hitch import Team
-from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Section, SolidObject
 from hitchopt.support import Feature, Neighbour, refused_value

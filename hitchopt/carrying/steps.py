@@ -21,6 +21,7 @@ from hitchopt.carrying.enclosing import (
     require_lift,
     resting_plan,
 )
+from hitchopt.carrying.held import grasp_of, held_of, plan_of_moves
 from hitchopt.carrying.moves import Move
 from hitchopt.carrying.planner import LIFT_SPEED
 from hitchopt.errors import RequestError
@@ -153,10 +154,10 @@ class Lift(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical ascent."""
-        planner = task.held
+        planner = held_of(task)
         to = goal_of(self, task.requirements, planner.state.object)
         moves = [planner.transfer(0.0, 1.0), planner.carry(to, LIFT_SPEED)]
-        return self.plan_of_moves(task, replace(task.grasp, carried=True), moves)
+        return plan_of_moves(self, task, replace(grasp_of(task), carried=True), moves)
 
 
 @documented
@@ -181,7 +182,7 @@ class Carry(Step):
         """Plan the flight along the line, or past what is in its way."""
         to = goal_of(self, task.requirements, self.object)
         straight = Candidate("straight way", partial(self._through, [to], task))
-        ways = CarrySearch(task.held, to).ways()
+        ways = CarrySearch(held_of(task), to).ways()
         beside = [Candidate("detour", partial(self._past, way, task)) for way in ways]
         return first_certified([*beside, straight], task.effort, task.progress)
 
@@ -193,14 +194,14 @@ class Carry(Step):
 
     def _through(self, places: Sequence[Array], task: StepTask) -> StepPlan:
         """Return the plan through places (4,) x, y, z [m] and yaw [rad], at rest in each."""
-        planner = task.held
+        planner = held_of(task)
         requirements = task.requirements
         moves = list[Move]()
         for place in places:
             moves.append(planner.carry(place, requirements.limits.speed))
             objects = {**requirements.objects, self.object: planner.body.moved_to(place)}
             planner = replace(planner, requirements=replace(requirements, objects=objects))
-        return self.plan_of_moves(task, task.grasp, moves)
+        return plan_of_moves(self, task, grasp_of(task), moves)
 
 
 @documented
@@ -219,7 +220,7 @@ class SetDown(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical descent to a stable support."""
         objects = task.requirements.objects
-        planner = task.held
+        planner = held_of(task)
         to = goal_of(self, task.requirements, self.object)
         set_down = objects[self.object].moved_to(to)
         margin = footing({**objects, self.object: set_down}, self.object)
@@ -234,7 +235,7 @@ class SetDown(Step):
         down = planner.carry(to, LIFT_SPEED)
         unloading = replace(planner.transfer(1.0, 0.0), start=to, end=to)
         moves = [down, unloading]
-        return self.plan_of_moves(task, replace(task.grasp, carried=False), moves)
+        return plan_of_moves(self, task, replace(grasp_of(task), carried=False), moves)
 
 
 @documented

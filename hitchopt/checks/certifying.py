@@ -32,7 +32,7 @@ from hitchopt.motion.plan_file import flight_digest
 from hitchopt.motion.retiming import padded
 from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.objects.placing import CONTACT_GAP
-from hitchopt.teams.across import check_across, radius_across
+from hitchopt.slices import provided
 from hitchopt.values import check_instance, nonnegative, sequence
 from hitchopt.values.fields import suggest_keywords
 
@@ -267,7 +267,8 @@ def _between_teams(rule: CheckRule, flight: Flight) -> Check | None:
     A flight's own teams may begin it in motion, as after a loss.
     """
     if rule is not CONTINUITY:
-        return check_across(rule, flight)
+        across: Check | None = provided("check_across")(rule, flight)
+        return across
     ends = [flown.motion.drones.breaks[[0, -1]].tolist() for flown in flight.all_teams]
     first = min(begin for begin, _ in ends)
     last = max(end for _, end in ends) + 1.0
@@ -285,9 +286,11 @@ def _radius_between_teams(
     """
     requirements = tracking.flattened(flight.requirements)
     if requirements is not flight.requirements:
+        check_across = provided("check_across")
         between = {rule: check_across(rule, flight, requirements) for rule in RULES}
-    radius = radius_across(flight, requirements, between, gamma)
-    return radius.check(report, report.limit(requirements), gamma)
+    radius = provided("radius_across")(flight, requirements, between, gamma)
+    check: Check = radius.check(report, report.limit(requirements), gamma)
+    return check
 
 
 def rest_continuity(teams: Iterable[TeamMotion], first: float, last: float) -> Check | None:

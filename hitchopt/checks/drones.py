@@ -252,6 +252,7 @@ TILT = CheckRule(
     "tilt",
     "deg",
     "max",
+    # Already lowered to what controllers allow, by ``Requirements.flown_by``
     lambda motion: math.degrees(motion.requirements.limits.tilt),
     (Evaluator(WorstOverSpans(Drones, tilt, "max"), exported=True),),
     "raise limits.tilt_deg, or lower team.tension",

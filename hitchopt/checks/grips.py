@@ -28,8 +28,8 @@ from hitchopt.checks.spans import ROUNDING, cached, joined_arrays, leg_vectors
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
-from hitchopt.hitch.holding import YawTerms, least_stiffness_of_turn
 from hitchopt.hitch.twists import bend
+from hitchopt.hitch.yaw import YawTerms, least_stiffness_of_turn
 from hitchopt.motion.loads import held_pieces, tautness
 from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.objects import Section, SolidObject

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 from hitchopt.checks import (
     arena,
@@ -22,11 +23,16 @@ from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, FlightReport, Quantity, ReportRule
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.checks.vertex_errors import VERTEX_ERROR
-from hitchopt.friction.shifts import FRICTION_SHIFT, REST_SHIFT
 from hitchopt.hitch.pairs import Kind
-from hitchopt.losses import checks as losses
+from hitchopt.slices import check_modules
 
-RULES = (
+
+def _of_slices(kind: str) -> tuple[Any, ...]:
+    """Return the rules or reports of a kind of all slices."""
+    return tuple(each for module in check_modules() for each in getattr(module, kind, ()))
+
+
+RULES: tuple[CheckRule, ...] = (
     separation.SEPARATION,
     clearance.CABLE_CLEARANCE,
     crossing.CROSSING,
@@ -45,16 +51,15 @@ RULES = (
     grips.GRIP,
     grips.YAW,
     support.SUPPORT,
-    losses.LOSS_DISPLACEMENT,
-    losses.SURVIVABLE,
+    *_of_slices("RULES"),
     DURATION,
 )
 """One rule per check, in the order of a certificate."""
 
-PART_REPORTS = (TRACKING_RADIUS, FRICTION_SHIFT)
+PART_REPORTS: tuple[ReportRule, ...] = (TRACKING_RADIUS, *_of_slices("PART_REPORTS"))
 """Reports of each team whose values of a joined motion follow from those of its parts."""
 
-TEAM_REPORTS = (*PART_REPORTS, REST_SHIFT, VERTEX_ERROR)  # Reports of each team
+TEAM_REPORTS = (*PART_REPORTS, *_of_slices("TEAM_REPORTS"), VERTEX_ERROR)  # Reports of each team
 FLIGHT_REPORTS = (stops.STOPPABLE,)  # Reports of whole flights
 
 REPORTS = (*TEAM_REPORTS, *FLIGHT_REPORTS)

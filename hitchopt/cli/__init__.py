@@ -6,26 +6,21 @@ import click
 
 import hitchopt
 from hitchopt.cli.failures import SafeGroup
+from hitchopt.slices import commands
 
-# Commands and their modules in hitchopt, by headings of the help
+HEADINGS = ("Plan", "Trust", "Look", "Fly", "Study")  # Headings of the help
+
 COMMANDS = {
-    "Plan": {"init": "cli.planning", "solve": "cli.planning", "fit": "lab.cli.estimates"},
-    "Trust": {
-        "check": "cli.planning",
-        "verify": "cli.planning",
-        "simulate": "lab.cli.simulating",
-        "statics": "lab.cli.estimates",
-    },
-    "Look": {"report": "cli.pictures", "view": "cli.pictures"},
-    "Fly": {
-        "export": "cli.fleet",
-        "lint": "cli.fleet",
-        "abort": "cli.fleet",
-        "react": "cli.fleet",
-        "fly": "cli.fleet",
-    },
-    "Study": {"evaluate": "lab.cli.measuring", "calibrate": "lab.cli.estimates"},
+    "Plan": {"init": "cli.planning", "solve": "cli.planning"},
+    "Trust": {"check": "cli.planning"},
 }
+"""Commands of the core and their modules in hitchopt, by headings of the help."""
+
+
+def sections() -> dict[str, dict[str, str]]:
+    """Return all commands, also those of slices, by headings of the help."""
+    of_slices = commands()
+    return {each: COMMANDS.get(each, {}) | of_slices.get(each, {}) for each in HEADINGS}
 
 
 def print_version(context: click.Context, _option: click.Parameter, value: bool) -> None:
@@ -37,7 +32,7 @@ def print_version(context: click.Context, _option: click.Parameter, value: bool)
 
 @click.group(
     cls=SafeGroup,
-    sections=COMMANDS,
+    sections=sections(),
     context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
 @click.option(

@@ -192,7 +192,7 @@ def show_places(flight: ho.Flight, addresses: Mapping[str, str] | None = None) -
 
     ``addresses`` are those of drones by name.
     """
-    from hitchopt.exports.placing import drone_places
+    from hitchopt.motion.flight import drone_places
 
     moved = {
         each.label(name)

@@ -1,4 +1,4 @@
-"""The commands solve, check, verify and init: problem files to certified plans."""
+"""The commands solve, check and init: problem files to certified plans."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 import hitchopt as ho
-from hitchopt.cli.failures import exit_code, exit_infeasible, report_error
+from hitchopt.cli.failures import exit_code, report_error
 from hitchopt.cli.options import (
     PATH,
     SUFFIXES,
@@ -44,11 +44,12 @@ from hitchopt.errors import (
     TimeLimitError,
     contained,
 )
+from hitchopt.mission import MAX_SUGGESTIONS, NO_CHANGE
+from hitchopt.slices import hooks, provided
 from hitchopt.tables import table
 
 if TYPE_CHECKING:
     from hitchopt.motion.flight import Flight
-    from hitchopt.repairs.repair import Suggestion
 
 MIN_SEARCH_TIME = 1e-3  # Minimum time limit of the search for changes [s]
 SEARCH_ENDED = "the search for changes ended at the time limit (--limit)"
@@ -92,9 +93,8 @@ def solve(
 
     FILE may be - for standard input. If there is no plan, DIR/previous has the last certified plan.
     """
-    from hitchopt.exports.options import checked_rate
     from hitchopt.mission.loading import parse_problem
-    from hitchopt.repairs.repair import MAX_SUGGESTIONS
+    from hitchopt.motion.states import checked_rate
     from hitchopt.storage.yaml_file import located, read_text
     from hitchopt.values import integer, positive
 
@@ -160,7 +160,7 @@ def _plan(
 ) -> ho.Plan:
     """Plan, show and write a problem; return its plan."""
     from hitchopt.directory import certificate_content
-    from hitchopt.exports.exporting import tracking_notes
+    from hitchopt.motion.loads import tracking_notes
     from hitchopt.storage.archive import PLAN
 
     with ProgressBar("planning", limit) as progress:
@@ -238,14 +238,12 @@ def _leave_diagnosis(
     click.get_current_context().exit(exit_code(error))
 
 
-def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[Suggestion]) -> None:
+def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[Any]) -> None:
     """Write a problem's text with the suggestion numbered ``take``, from 1, if it exists."""
-    from hitchopt.repairs.changes import with_edits_in
-
     if take > len(suggestions):
         say(f"{path} is not written: there is no suggestion {take} (--take)", err=True)
         return
-    changed = with_edits_in(text, suggestions[take - 1].change.edits)
+    changed = provided("changed_text")(text, suggestions[take - 1].change.edits)
     file = _write_new(str(path), changed)
     ordinal = ("first", "second", "third")[take - 1]
     say(f"wrote {file}, with the {ordinal} change", err=True, file=str(file))
@@ -253,19 +251,19 @@ def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[Sugge
 
 def _suggestions(
     problem: ho.Problem, error: InfeasibleError, seconds: float
-) -> tuple[tuple[Suggestion, ...], str]:
+) -> tuple[tuple[Any, ...], str]:
     """Report and return changes that make the problem feasible, and a note on the time limit."""
     from hitchopt.errors import time_left, time_limit
-    from hitchopt.repairs.repair import NO_CHANGE, find_suggestions
 
-    suggestions: tuple[Suggestion, ...] = ()
+    suggestions: tuple[Any, ...] = ()
     note = SEARCH_ENDED
     with (
         ProgressBar("searching for changes that make it feasible", seconds) as progress,
         contextlib.suppress(TimeLimitError),
         time_limit(seconds),
     ):
-        suggestions = find_suggestions(problem, error, progress=progress)
+        for find in hooks("suggestions"):
+            suggestions = find(problem, error, progress=progress)
         note = SEARCH_ENDED if time_left() <= 0.0 else ""
     say("\n".join([*map(str, suggestions or (NO_CHANGE,)), *([note] if note else [])]), err=True)
     return suggestions, note
@@ -325,11 +323,6 @@ def check(
     show_notes(ho.Plan(flight, certificate, problem=saved.problem))
 
 
-def _unverifiable(path: Path, error: Exception) -> FileError:
-    """Return the error on a plan.npz that the independent verifier does not read."""
-    return FileError(f"{path}: not a plan, or a damaged one: {error}")
-
-
 def _changed_others(flight: Flight, path: Path) -> Iterator[str]:
     """Yield messages on other plans in ``others`` that are missing or have changed.
 
@@ -343,45 +336,6 @@ def _changed_others(flight: Flight, path: Path) -> Iterator[str]:
         if not any(is_of(each, file) for file in files):
             state = f"{files[0]} is a different plan" if files else "its plan is missing"
             yield f"others: {each.name} ({each.plan}): {state}; solve again with the current plan"
-
-
-@command("directory DIR")
-def verify(directory: Path) -> None:
-    """Prove the limits of the plan in DIR with an independent verifier.
-
-    Exits with code 0 if all are proven, and 3 if one is violated or not proven.
-    """
-    _show_verified(plan_path(directory))
-
-
-def _show_verified(path: Path) -> None:
-    """Prove and report the limits of a plan.npz; exit with 3 unless all are proven.
-
-    First, the plan is compared with its problem's text.
-    """
-    from hitchopt.plan import read_requested_plan
-    from hitchopt.verify import PASSING, UnreadableError, cells, verdict, verify
-
-    read_requested_plan(path)
-    rows = []
-    try:
-        with ProgressBar("proving") as progress:
-            for row in verify(path):
-                rows.append(row)
-                progress(f"checked: {row.name}")
-    except UnreadableError as error:
-        raise _unverifiable(path, error) from error
-    heads = ["check", "worst", "with errors", "limit", "unit", "where", "when", "verdict"]
-    content = [dict(zip(heads, cells(row), strict=True)) for row in rows]
-    for head, is_shown in (
-        ("with errors", any(row["with errors"] for row in content)),
-        ("verdict", any(row.verdict != "proven" for row in rows)),
-    ):
-        if not is_shown:
-            content = [{key: row[key] for key in row if key != head} for row in content]
-    say(f"{table('Limits', content)}\n\n{verdict(rows)}", verified=[row._asdict() for row in rows])
-    if any(row.verdict not in PASSING for row in rows):
-        exit_infeasible()
 
 
 def example_files() -> list[Path]:

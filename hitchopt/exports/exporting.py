@@ -23,7 +23,7 @@ from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.checks.certifying import certificate_of, certify
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.tracking import TRACKING_RADIUS
-from hitchopt.drones.controllers import RECORDED_TUBE, STOCK, Gains, Tube, stiffest_gains
+from hitchopt.drones.controllers import STOCK, Gains, Tube, stiffest_gains
 from hitchopt.errors import (
     FileError,
     HitchoptError,
@@ -53,7 +53,12 @@ from hitchopt.exports.verification import Flown, Verdict, verify
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.forces import SLACK
 from hitchopt.motion.flight import REST_RATE, Flight
-from hitchopt.motion.loads import ellipsoid_notes, tracking_warnings, weightless_notes
+from hitchopt.motion.loads import (
+    ellipsoid_notes,
+    tracking_notes,
+    tracking_warnings,
+    weightless_notes,
+)
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import SavedPlan, write_plan
 from hitchopt.planners.candidates import outcome
@@ -101,6 +106,17 @@ class Export(OneLine):
     def sources(self) -> dict[str, Path]:
         """Paths of the files and of the manifest, by name."""
         return {name: self.folder / name for name in (*self.files, MANIFEST)}
+
+
+def export_plan(
+    saved: SavedPlan,
+    format: str,
+    folder: Path,
+    progress: Progress | None,
+    options: Mapping[str, Any],
+) -> tuple[Export, ...]:
+    """Export a plan with keywords of ``ExportOptions``; see ``Plan.export``."""
+    return export_flight(saved, ExportOptions(format, **options), folder, progress)
 
 
 def export_flight(
@@ -170,21 +186,6 @@ def export_flight(
         task = replace(task, plan_digest=digest(copy), stretch=options.stretch)
         task, exports = _export_task(kind, task, scratch, say)
         return _move_exports(exports, place, kind, task, copy)
-
-
-def tracking_notes(flight: Flight) -> Iterator[str]:
-    """Yield a note if ``limits.tracking`` is the error of a simulated controller."""
-    for each in flight.teams:
-        tube = each.motion.requirements.limits.tube
-        team = each.motion.team
-        if team.tracking is None or Tube.of(team.tracking) != tube:
-            continue
-        if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
-            yield (
-                f"distances hold if drones stay within {tube}; real drones in public logs were off "
-                f"by {Tube(*RECORDED_TUBE)}: set limits.tracking to your measured error"
-            )
-            return
 
 
 def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str]:

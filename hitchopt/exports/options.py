@@ -11,8 +11,8 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated
 
-from hitchopt.errors import InputError
-from hitchopt.values import SCALAR, finite
+from hitchopt.motion.states import checked_rate
+from hitchopt.values import SCALAR
 from hitchopt.values.fields import FLAGS, Key, Kind, Record, documented, points, words
 from hitchopt.values.units import ANGLE, DAMPING, NUMBER, STIFFNESS
 
@@ -33,7 +33,6 @@ HOMES = {
 
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of bags, and their suffixes
 ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}  # Versions of bags' metadata; all read 8
-MAX_RATE = 10_000.0  # Maximum sampling rate [Hz]: no flight controller accepts a higher one
 
 
 def registered_formats() -> dict[str, EntryPoint]:
@@ -46,14 +45,6 @@ def registered_formats() -> dict[str, EntryPoint]:
     for entry in entry_points(group=GROUP):
         formats.setdefault(entry.name, entry)
     return formats
-
-
-def checked_rate(rate: object, key: str = "rate") -> float:
-    """Return the rate [Hz]; raises InputError if it is no number or out of range."""
-    number = finite(key, rate)
-    if not 0.0 < number <= MAX_RATE:
-        raise InputError(key, rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
-    return number
 
 
 RATE = Kind((SCALAR,), lambda key, rate: checked_rate(rate, key), {"type": "number"}, "Hz")

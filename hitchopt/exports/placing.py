@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
-from hitchopt.motion.flight import Flight
+from hitchopt.motion.flight import Flight, drone_places
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
@@ -55,28 +55,6 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")  # Valid in files, ROS topics
 RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}  # Literals of YAML 1.1
 URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Radio addresses of drones
 PER_RADIO = 15  # Drones per radio with uploaded trajectories
-
-
-def drone_places(flight: Flight) -> list[dict[str, str]]:
-    """Return a row per drone on a cable, in the problem's order: end of an edge, and mass."""
-    rows = list[dict[str, str]]()
-    for each in flight.teams:
-        team = each.motion.team
-        if not team.has_cables:
-            continue
-        ends = team.layout.anchors.tolist()
-        for name, place in zip(team.listed_names, team.listed.tolist(), strict=True):
-            edge, end = divmod(place, 2)
-            rows.append(
-                {
-                    "drone": each.label(name),
-                    "place": f"edge {edge}, {('start', 'end')[end]}",
-                    "vertex": team.point_names[ends[place]],
-                    "leg": f"{'de'[end]}_{edge}",
-                    "mass": f"{1e3 * team.mass[place]:.4g} g",
-                }
-            )
-    return rows
 
 
 def places_text(flight: Flight, fleet: Fleet) -> str:

@@ -16,11 +16,9 @@ import numpy as np
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import rotated
-from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import balanced_legs
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask
-from hitchopt.planners.candidates import if_feasible
+from hitchopt.planners.ends import spread_hitch
 from hitchopt.values import Array
 
 
@@ -136,17 +134,3 @@ class CircularHitches:
         for phase in PHASES:
             polygon = ConvexPolygon(goal.centroid + rotated(points, angle + phase))
             yield Hitch(shape.team, polygon, shape.altitude, shape.q_legs)
-
-
-def spread_hitch(
-    team: Team, polygon: ConvexPolygon, altitude: float, requirements: Requirements
-) -> Hitch | None:
-    """Return the hitch with spread legs without roll, or None if they break a distance."""
-
-    def spread() -> Hitch | None:
-        """Return the hitch."""
-        legs = balanced_legs(team, polygon)
-        split = LegTask.at_rest(team, polygon, legs, requirements, SPREAD_MARGIN).split()
-        return Hitch(team, polygon, altitude, split.q_legs[0]) if split.margin >= 1.0 else None
-
-    return if_feasible("spread legs", spread, None)

@@ -13,6 +13,7 @@ from hitchopt.errors import AT_END, InputError
 from hitchopt.forming.approach import assign_robots
 from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.forming.tying import (
+    SWAP,
     descent,
     end_of_form,
     flight_over,
@@ -92,8 +93,13 @@ class Form(Step):
         goal = self._goal(team, requirements)
         check_at_rest(goal, requirements, AT_END, self.phase(task).place)
         plan = first_certified(tyings(task, goal, self.swap), task.effort, task.progress)
-        after = replace(plan.after, swap=self.swap)
+        after = plan.after.keeping(SWAP, self.swap)
         return plan.replaced(self.with_duration(task, plan.motion), after)
+
+    @property
+    def assigns_in_order(self) -> bool:
+        """Return whether robot k takes edge k."""
+        return self.assign == "fixed"
 
     def assignment(self, team: Team, drones: Array, requirements: Requirements) -> Assignment:
         """Return the assignment of robots to edges with the shortest flights of drones (2n, 3) [m].

@@ -26,7 +26,6 @@ from hitchopt.forming.approach import (
 from hitchopt.forming.circles import FURTHER_SIZES, SIZES, CircleSize, CircularHitches
 from hitchopt.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.forming.swap_settings import SwapSettings
-from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
@@ -34,16 +33,15 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.motion import Motion, Phase, concatenated
-from hitchopt.planners.along import action_plan
+from hitchopt.planners.along import action_plan, vertical_motion
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.ends import RolledLegs, SlackSplit, end_of_action, split_hitch
+from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.actions import adjust
-from hitchopt.planners.path import RigidPath
 from hitchopt.planners.rests import check_at_rest, check_hover, rest_plan
 from hitchopt.planners.routes import RouteSearch, plan_to_hitch
 from hitchopt.planners.stages import hover_altitude, reversed_stages, stage, straight_lines
 from hitchopt.planners.task import StepPlan, StepTask, require_certified, require_tracking
-from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
@@ -107,6 +105,9 @@ def holding_assignment(
     return first_certified([*even, shortest], Effort())
 
 
+SWAP = "swap"  # Name of the settings of turns in what steps leave to later ones
+
+
 def tyings(task: StepTask, goal: Hitch, swap: SwapSettings) -> Iterator[Candidate[StepPlan]]:
     """Yield the ways to tie the goal.
 
@@ -153,7 +154,7 @@ def untyings(task: StepTask) -> Iterator[Candidate[StepPlan]]:
         tying = tying.with_senses(senses).clear_of_ground(requirements)
         return unmorphed_plan(task, tying)
 
-    for way in swap_ways(task.before.swap):
+    for way in swap_ways(task.before.kept.get(SWAP, SwapSettings())):
         yield with_larger_errors(f"{way.name}swaps", partial(directly, way.settings))
         for tying in tyings_on_circles(hitch, requirements, way):
             yield Candidate(f"{way.name}circle", partial(on_circle, tying))
@@ -272,7 +273,7 @@ def reshaped(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
     """Return the plan of a morph with friction feed-forward, for a share of the task's effort."""
     effort = Effort(MORPH_EFFORT_PER_ROBOT * task.before.team.robots, whole=task.effort)
     plan = plan_to_hitch(replace(task, effort=effort), end, phase)
-    return with_friction_feedforward(plan, timed=False)
+    return finished(plan, timed=False).plan
 
 
 MORPH_EFFORT_PER_ROBOT = 4e3
@@ -381,15 +382,6 @@ HEIGHT_REMARK = "hanging cables need more height above the ground than the hitch
 """Remark on motions of a hitch to and from the altitude at which it is tied."""
 
 
-def vertical_motion(
-    hitch: Hitch, altitude: float, requirements: Requirements, phase: Phase
-) -> Motion:
-    """Return the motion of a hitch straight up or down; it sets the end of ``phase``."""
-    path = RigidPath(hitch, np.append(hitch.polygon.centroid, altitude), 0.0)
-    motion = motion_along(path, requirements)
-    return motion.replaced(phases=(replace(phase, end=motion.duration),))
-
-
 def adjusting_motions(task: StepTask, q_legs: Array) -> list[Motion]:
     """Return the motion in which cables slide to q-legs; no motion if they have them."""
     hitch = task.hitch
@@ -401,4 +393,4 @@ def adjusting_motions(task: StepTask, q_legs: Array) -> list[Motion]:
     phase = Phase("adjust", task.index, 0.0, 0.0)
     own = partial(action_plan, direct, action, end, phase, None, "legs are to change")
     plan = RouteSearch(direct, end, phase, own).plan()
-    return [with_friction_feedforward(plan, timed=False).motion]
+    return [finished(plan, timed=False).plan.motion]

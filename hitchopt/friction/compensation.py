@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 from hitchopt.friction.leaning import feedforward_matters, friction_feedforward
+from hitchopt.planners.finishing import Finished
 from hitchopt.planners.task import StepPlan
 
 FRICTION_SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
@@ -17,28 +17,17 @@ MAX_SLOWDOWN = 1.5  # Maximum ratio of a step's duration with friction feed-forw
 NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
 
-class Compensated(NamedTuple):
-    """A plan in which legs lean against friction."""
-
-    plan: StepPlan  # The plan
-    share: float  # Fraction of the friction that is compensated
-
-
-def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:
+def compensated(plan: StepPlan, *, timed: bool) -> Finished:
     """Return the plan in which legs lean against friction, as far as limits allow.
 
-    Unless its duration is prescribed (``timed``) or limited, MAX_SLOWDOWN bounds the slowdown.
+    Its share is the fraction of the friction that is compensated. Unless its duration is prescribed
+    (``timed``) or limited, MAX_SLOWDOWN bounds the slowdown.
     """
-    return compensated(plan, timed=timed).plan
-
-
-def compensated(plan: StepPlan, *, timed: bool) -> Compensated:
-    """Return the plan of ``with_friction_feedforward`` and how much of the friction it covers."""
     motion = plan.motion
     if motion.team.friction == 0.0:
-        return Compensated(plan, 1.0)
+        return Finished(plan, 1.0)
     if not feedforward_matters(motion):
-        return Compensated(plan, 1.0)
+        return Finished(plan, 1.0)
     slower = not timed and motion.requirements.limits.duration is None
     for share in FRICTION_SHARES:
         feedforward = friction_feedforward(motion, share, slower=slower)
@@ -49,5 +38,5 @@ def compensated(plan: StepPlan, *, timed: bool) -> Compensated:
             remark += f" ({share:.0%} of the friction: limits bind)"
         leaning = replace(plan, motion=feedforward.motion).with_remark(remark)
         if leaning.certificate.certified:
-            return Compensated(leaning, share)
-    return Compensated(plan.with_remark(NOT_COMPENSATED), 0.0)
+            return Finished(leaning, share)
+    return Finished(plan.with_remark(NOT_COMPENSATED), 0.0)

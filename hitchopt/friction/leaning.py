@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.model import slipping_drones
 from hitchopt.hitch.requirements import Separation
@@ -27,7 +27,7 @@ from hitchopt.hitch.series import JET, chained, product
 from hitchopt.hitch.team import Layout
 from hitchopt.hitch.twists import bend, sliding_parts
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.path import cable_along
+from hitchopt.planners.path import cables_of_legs
 from hitchopt.planners.timing.stretch import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import divided, on_breaks
@@ -131,16 +131,6 @@ def _jets_at_breaks(curve: PiecewisePolynomial) -> Array:
     Jerks jump where a vertex starts to follow points, so that both sides of a break count.
     """
     return np.stack([np.concatenate(curve.ends(order)) for order in range(JET)], axis=-1)
-
-
-def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -> Array | None:
-    """Return jets (J, n, 2, 4) of legs' cable lengths [m]; None for massless cables.
-
-    Legs have chords (J, 2n, 3, 4) [m] and the chords' lengths (J, n, 2, 4) [m].
-    """
-    if team.cable_density == 0.0:
-        return None
-    return cable_along(team, chords, np.repeat(tensions, 2, axis=1)).reshape(lengths.shape)
 
 
 def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:

@@ -21,7 +21,7 @@ vertex of a parabola through three values is beyond the middle one by an eighth 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.checks.arena import ARENA
-from hitchopt.checks.certificate import SAMPLED
+from hitchopt.checks.certificate import SAMPLED, Check
 from hitchopt.checks.clearance import OBJECT_CLEARANCE
 from hitchopt.checks.distances import Flags
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
@@ -333,3 +333,19 @@ REST_SHIFT = ReportRule(
     "vertex while the plan rests, for any course of time",
     unproven="frictions between samples, swings, objects",
 )
+
+PART_REPORTS = (FRICTION_SHIFT,)
+"""Reports of each team whose values of a joined motion follow from those of its parts."""
+
+TEAM_REPORTS = (REST_SHIFT,)  # Other reports of each team
+
+
+def rest_notes(checks: Iterable[Check]) -> Iterator[str]:
+    """Yield a note if friction may hold a vertex farther off at rest than SETTLED."""
+    for check in checks:
+        if check.name == REST_SHIFT.name and check.limit is None and check.worst > SETTLED:
+            yield (
+                f"friction may hold {', '.join(check.where)} {100.0 * check.worst:.2g} cm off "
+                f"the plan, at rest at t = {check.time:.4g} s: settle, give vertices room to "
+                "over-travel, or use smoother cables; limits.rest_shift refuses it"
+            )

@@ -29,8 +29,6 @@ from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.directory import ABORT_PLANS, ABORTS
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
-from hitchopt.forming.steps import Release
-from hitchopt.forming.tying import vertical_motion
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
@@ -42,9 +40,11 @@ from hitchopt.motion.request import objects_at
 from hitchopt.motion.retiming import append_motion, on_clock, resting, truncated, with_last_poses
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_world
+from hitchopt.planners.along import vertical_motion
 from hitchopt.planners.candidates import outcome
 from hitchopt.planners.stages import stage, straight_lines
 from hitchopt.planners.task import RestState, StepTask
+from hitchopt.steps import STEP_KINDS
 from hitchopt.storage.archive import READ_ERRORS
 from hitchopt.storage.files import digest, file_bytes, parsed_json, replace_files, write_strict_json
 from hitchopt.trajectory.clock_phases import ClockPhases
@@ -100,6 +100,13 @@ class _Refused:
 
     error: InfeasibleError
     at_end: bool  # whether only what follows the way to a rest breaks limits
+
+
+def aborted(flight: Flight, time: float, how: str) -> Abort:
+    """Return the certified abort for a command at a plan time [s]; see ``Plan.abort``."""
+    entry = Aborts(flight).plan(time, how)
+    entry.certificate.raise_if_violated()
+    return entry
 
 
 class Aborts:
@@ -429,7 +436,7 @@ def _with_landing(whole: Motion, *, untie: bool) -> Motion:
     need = replace(whole.requirements, objects=objects_at(whole, -1)).with_reserve
     task = StepTask(state, whole.phases[-1].step + 1, need)
     if untie:
-        released = _extended(whole, Release().plan(task).motion)
+        released = _extended(whole, STEP_KINDS["release"]().plan(task).motion)
         return _extended(released, straight_down(released))
     return _extended(whole, _descent(hitch, need, task.index))
 

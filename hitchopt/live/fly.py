@@ -18,13 +18,12 @@ import numpy as np
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import Aborts, AbortTable, moves_standing
-from hitchopt.live.player import Setpoints
-from hitchopt.losses.losing import check_loss, dropped_at_rest, team_of
-from hitchopt.losses.reacting import Player
+from hitchopt.live.player import Player, Setpoints
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT
 from hitchopt.motion.states import flight_states_at
 from hitchopt.planners.candidates import Candidate, Effort, first_certified, outcome
+from hitchopt.slices import provided
 from hitchopt.values import Array, positive
 
 COMMANDS = ("pause", "resume", "back", "abort", "land", "lose")
@@ -169,11 +168,11 @@ class CommandedPlan:
             after = f"robot {self.lost} is lost" if self.lost else "the landing has begun"
             raise InfeasibleError([], f"lose {robot}: no reaction since {after}; land")
         if not player.resting:
-            check_loss(player.flight, robot, player.time)
+            provided("check_loss")(player.flight, robot, player.time)
             self._landing, seconds = None, player.pause()
             self._await_rest(f"lose {robot}")
             return f"lose {robot}: at rest in {seconds:.2f} s"
-        team = team_of(player.flight, robot)
+        team = provided("team_of_robot")(player.flight, robot)
 
         def with_chain() -> str:
             """Hold the chain that remains."""
@@ -181,7 +180,7 @@ class CommandedPlan:
 
         def without_cables() -> str:
             """Hover without the cables of the team."""
-            found = dropped_at_rest(player.flight, team.name, player.time)
+            found = provided("dropped_at_rest")(player.flight, team.name, player.time)
             player.follow(found.flight, found.drones)
             return "no chain is certified: all drop their cables and hover"
 
@@ -221,7 +220,7 @@ class CommandedPlan:
 
         def land_without_cables() -> str:
             """Drop all cables and land, and return how."""
-            found = dropped_at_rest(flight, chain.name, player.time)
+            found = provided("dropped_at_rest")(flight, chain.name, player.time)
             land(found.flight, found.drones, "land")
             return "without cables"
 

@@ -20,6 +20,7 @@ from hitchopt.checks.stops import MAX_STOP, MIN_STOP, ClockLimits, StopTable, st
 from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
+from hitchopt.slices import provided
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenate_clocks
@@ -59,7 +60,24 @@ class Setpoints(OneLine):
 
 
 class Player(OneLine):
-    """A plan flown on a clock that all drones share; see ``ho.Player``, which reacts to losses."""
+    """A plan flown on a clock that all drones share, also after the loss of a robot.
+
+    Paths, separations, clearances and crossings are those of the plan at every rate. Every change
+    of the rate is verified for its whole duration before it starts: acceleration, jerk, thrust,
+    tilt and body rates keep their limits, and a held object its balance. If a change cannot start
+    at once, the clock continues until it can.
+
+    Parameters
+    ----------
+    plan: a plan, its flight, or the motion of a team; players of the same one share computed data.
+    time: initial plan time [s].
+    rate: initial rate of the clock, from -1 to 1.
+
+    Raises
+    ------
+    InputError: the time is outside the plan, or the rate out of range.
+    UnsupportedError: other plans fly at the same time, on separate clocks.
+    """
 
     @suggest_keywords
     def __init__(self, plan: object, time: float = 0.0, rate: float = 1.0) -> None:
@@ -175,6 +193,25 @@ class Player(OneLine):
         self._check_time(time)
         profile = self._first_feasible(partial(_to_time, time), 0.0)
         return self._follow(profile, f"plan time {time:g} s")
+
+    def lose(self, robot: int | str) -> float:
+        """Stop after the loss of a robot, and fly on as ``Plan.after_loss`` plans from there.
+
+        All stop as soon as the limits allow; then the robot's drones rise, and the others form the
+        chain. Return the time until it is held [s]. Setpoints keep their order; from the rest on,
+        ``flight`` and ``time`` are those of what follows.
+
+        Raises
+        ------
+        InputError: as ``Plan.after_loss``; the clock continues.
+        InfeasibleError: a limit that is not kept after the loss; the clock stops.
+        """
+        time = self.time
+        provided("check_loss")(self.flight, str(robot), time)
+        seconds = self.pause()
+        found = provided("after_loss_at_rest")(self.flight, str(robot), time, self.rest)
+        self.follow(found.flight, found.drones)
+        return seconds + float(found.flight.duration)
 
     def follow(self, flight: Flight, drones: tuple[str, ...]) -> None:
         """Continue with another flight once at rest, where it begins at rest.

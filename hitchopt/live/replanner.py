@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, InputError, OneLine
-from hitchopt.friction.leaning import cables_of_legs
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import column_lengths, length, rotated
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -38,7 +37,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
 from hitchopt.planners.candidates import outcome
-from hitchopt.planners.path import cable_along
+from hitchopt.planners.path import cable_along, cables_of_legs
 from hitchopt.planners.rests import rest_motion
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.trajectory import PiecewisePolynomial, bernstein

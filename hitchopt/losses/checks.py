@@ -599,3 +599,5 @@ SURVIVABLE = CheckRule(
     "at which a plan does not stop before one: `react` refuses these",
 )
 """The remaining cables are an open chain in balance, which its drones reach clear of all others."""
+
+RULES = (LOSS_DISPLACEMENT, SURVIVABLE)  # Rules of the loss of a robot

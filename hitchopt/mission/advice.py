@@ -13,14 +13,14 @@ from hitchopt.checks.arena import ARENA, nearest_wall
 from hitchopt.checks.linking import DURATION
 from hitchopt.checks.registry import RULES, names_of
 from hitchopt.checks.violations import infeasible_error, named_checks
-from hitchopt.drones.controllers import Tube, of_same_firmware
+from hitchopt.drones.controllers import Gains, Tube, of_same_firmware, stiffest_gains
 from hitchopt.errors import EXCHANGED, InfeasibleError, StepPlace, Violation
-from hitchopt.hitch import Team
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
-from hitchopt.repairs.alternatives import can_be_stiffer
 from hitchopt.steps.step import Step
+from hitchopt.values.fields import with_fields
 
 WIDENED = names_of(rule for rule in RULES if rule.pairs)
 """Checks of distances that ``limits.tracking`` increases."""
@@ -142,3 +142,25 @@ def _duration_remedy(steps: Sequence[Step]) -> str:
     if prescribed:
         remedies.append(f"lower {' or '.join(prescribed)}")
     return ", or ".join(remedies)
+
+
+def can_be_stiffer(kinds: Sequence[Quadrotor]) -> bool:
+    """Return whether a controller of some firmware has smaller errors with other gains."""
+    errors = (
+        [Tube.of(each.loop.tracking).largest for each in (stiffest(kind), kind)]
+        for kind in kinds
+        if kind.controller is not None
+    )
+    return any(smallest < error for smallest, error in errors)
+
+
+def stiffest(kind: Quadrotor) -> Quadrotor:
+    """Return a quadrotor with the controller of its firmware that has the smallest errors.
+
+    On a Crazyflie that is mellinger. A quadrotor without a named controller stays as it is.
+    """
+    if kind.controller is None:
+        return kind
+    name = "mellinger" if "mellinger" in of_same_firmware(kind.controller) else kind.controller
+    gains = stiffest_gains(kind.mass, kind.latency, name)
+    return with_fields(kind, controller=name, gains=Gains.of(gains))

@@ -6,10 +6,17 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from hitchopt.errors import UNKNOWN_KEY, FileError, InputError, JointInputError, joint_error
+from hitchopt.errors import (
+    UNKNOWN_KEY,
+    FileError,
+    InputError,
+    JointInputError,
+    joint_error,
+)
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.mission.objects import with_outlines
@@ -26,9 +33,10 @@ from hitchopt.mission.problem import (
     check_team_names,
 )
 from hitchopt.objects import SolidObject
-from hitchopt.steps.keys import TRIANGLE
+from hitchopt.slices import lacking
+from hitchopt.steps import DRONE_STEP_KINDS
+from hitchopt.steps.keys import SWARM_PLACES, TRIANGLE
 from hitchopt.storage.yaml_file import located, parse_yaml, plain, read_text, split_key, value_at
-from hitchopt.swarms.steps import SWARM_PLACES, Fly
 from hitchopt.values import MAPPING, SYNONYMS, form_error, form_of
 from hitchopt.values.fields import (
     Key,
@@ -54,28 +62,6 @@ FOREIGN = {
 
 HITCH_FORM = keys_of(Problem)
 COMMON = {name: HITCH_FORM[name] for name in ("arena", "title", "objects", "others", "keep_out")}
-
-SWARM_FORM = {
-    "team": Key(SWARM_TEAM, "The team", {"drones": 2}, "team"),
-    "start": Key(
-        SWARM_PLACES,
-        "Start positions (N, 3) [m], [x, y, z] per drone, at rest",
-        [[-1, 0, 1], [1, 0, 1]],
-        "start",
-    ),
-    "goal": replace(keys_of(Fly)["goal"], text="Goal positions (N, 3) [m], in the same order"),
-    "limits": replace(HITCH_FORM["limits"], kind=mapping_of(Limits, exclude=HITCH_LIMITS)),
-    "separation": replace(
-        HITCH_FORM["separation"], kind=mapping_of(Separation, exclude=HITCH_SEPARATION)
-    ),
-    "arena": HITCH_FORM["arena"],
-    "duration": keys_of(Fly)["duration"],
-    **COMMON,
-    "objects": replace(
-        HITCH_FORM["objects"],
-        text="Fixed obstacles, by name; drones keep clear of them",
-    ),
-}
 
 TEAMS_FORM = {
     "teams": Key(
@@ -104,27 +90,56 @@ TEAMS_FORM = {
     **COMMON,
 }
 
-FORMS = {
-    "Problem": (HITCH_FORM, "A mission of a team with a hitch."),
-    "SwarmProblem": (SWARM_FORM, "Single drones that swap positions out of each other's downwash."),
-    "TeamsProblem": (
-        TEAMS_FORM,
-        "A mission of several teams, with hitches or of single drones, in one arena.",
-    ),
-}
-"""Keys of files for a team with cables, for single drones and for several teams, and what their
-problems are, by their names in the schema."""
+
+@cache
+def swarm_form() -> dict[str, Key]:
+    """Return the keys of files of single drones, whose only step they state."""
+    if not DRONE_STEP_KINDS:
+        raise lacking("single drones")
+    (step,) = DRONE_STEP_KINDS.values()
+    keys = keys_of(step)
+    places = "Start positions (N, 3) [m], [x, y, z] per drone, at rest"
+    return {
+        "team": Key(SWARM_TEAM, "The team", {"drones": 2}, "team"),
+        "start": Key(SWARM_PLACES, places, [[-1, 0, 1], [1, 0, 1]], "start"),
+        "goal": replace(keys["goal"], text="Goal positions (N, 3) [m], in the same order"),
+        "limits": replace(HITCH_FORM["limits"], kind=mapping_of(Limits, exclude=HITCH_LIMITS)),
+        "separation": replace(
+            HITCH_FORM["separation"], kind=mapping_of(Separation, exclude=HITCH_SEPARATION)
+        ),
+        "arena": HITCH_FORM["arena"],
+        "duration": keys["duration"],
+        **COMMON,
+        "objects": replace(
+            HITCH_FORM["objects"],
+            text="Fixed obstacles, by name; drones keep clear of them",
+        ),
+    }
+
+
+def forms() -> dict[str, tuple[Mapping[str, Key], str]]:
+    """Return the keys of files and what their problems are, by their names in the schema."""
+    drones = "Single drones that swap positions out of each other's downwash."
+    return {
+        "Problem": (HITCH_FORM, "A mission of a team with a hitch."),
+        **({"SwarmProblem": (swarm_form(), drones)} if DRONE_STEP_KINDS else {}),
+        "TeamsProblem": (
+            TEAMS_FORM,
+            "A mission of several teams, with hitches or of single drones, in one arena.",
+        ),
+    }
 
 
 def problem_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of problem files of all kinds."""
     definitions = dict[str, Schema]()
-    forms = [
-        keys_schema(name, text, keys.values(), definitions) for name, (keys, text) in FORMS.items()
+    schemas = [
+        keys_schema(name, text, keys.values(), definitions)
+        for name, (keys, text) in forms().items()
     ]
     dialect = "https://json-schema.org/draft/2020-12/schema"
     title = "hitchopt problem file"
-    return {"$schema": dialect, "title": title, "anyOf": forms, "$defs": definitions}
+    return {"$schema": dialect, "title": title, "anyOf": schemas, "$defs": definitions}
 
 
 @suggest_keywords
@@ -221,9 +236,10 @@ def _home_of(name: str, path: str, form: Mapping[str, Key], values: Any) -> str:
     """
     own = re.match(r"teams\.[^.]+", path)
     team = own[0] if own else "team"
+    of_cables = form is HITCH_FORM or form is TEAMS_FORM
     sections: dict[str, tuple[type[Any], tuple[str, ...]]] = {
-        "limits": (Limits, HITCH_LIMITS if form is SWARM_FORM else ()),
-        "separation": (Separation, HITCH_SEPARATION if form is SWARM_FORM else ()),
+        "limits": (Limits, () if of_cables else HITCH_LIMITS),
+        "separation": (Separation, () if of_cables else HITCH_SEPARATION),
     }
     if own or team in form:
         is_swarm = _is_swarm(value_at(values, split_key(team)))
@@ -243,7 +259,7 @@ def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Prob
     values: Any = plain(data)
     team = values.get("team") if isinstance(values, dict) else None
     is_swarm = _is_swarm(team)
-    form = SWARM_FORM if is_swarm else HITCH_FORM
+    form = swarm_form() if is_swarm else HITCH_FORM
     if isinstance(values, dict):
         if "teams" in values:
             form = TEAMS_FORM
@@ -269,10 +285,11 @@ def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Prob
         arguments = arguments_from(form, "", values, remedies=remedies)
     if form is TEAMS_FORM:
         arguments["team"] = arguments.pop("teams")
-    if form is SWARM_FORM:
-        arguments["mission"] = (Fly(arguments.pop("goal"), arguments.pop("duration", None)),)
+    if form is not TEAMS_FORM and is_swarm:
+        fly: Any = next(iter(DRONE_STEP_KINDS.values()))
+        arguments["mission"] = (fly(arguments.pop("goal"), arguments.pop("duration", None)),)
     try:
         return Problem(**arguments)
     except InputError as error:
-        nested = "mission[0].fly." if form is SWARM_FORM else ""
+        nested = "mission[0].fly." if is_swarm else ""
         raise error.renamed(lambda key: key.removeprefix(nested)) from None

@@ -12,7 +12,6 @@ from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.registry import NAMES, RULE_OF_KEY
 from hitchopt.drones.quadrotor import quadrotors
 from hitchopt.errors import Circumstance, InputError, Missing
-from hitchopt.forming.steps import Form
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.requirements import (
@@ -31,10 +30,9 @@ from hitchopt.mission.step_order import resolved_steps
 from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
-from hitchopt.steps import STEP_KINDS
-from hitchopt.steps.keys import TRIANGLE, shown_legs
+from hitchopt.steps import ALL_STEP_KINDS, STEP_KINDS
+from hitchopt.steps.keys import SWARM_PLACES, TRIANGLE, shown_legs
 from hitchopt.steps.step import Step
-from hitchopt.swarms.steps import SWARM_PLACES, Fly
 from hitchopt.values import ByValue, check_instance, closest_word, sequence
 from hitchopt.values.fields import (
     Key,
@@ -63,13 +61,14 @@ START = single_key(
     "Start of the plan.",
     {"hitch": HitchStart, "drones": DronesStart},
     "hitch: {polygon: [[x, y], …], altitude: 1.0}",
-    (Hitch,),
+    (Hitch, HitchStart, DronesStart),
 )
 STEP = single_key(
     "Step",
     "One step of the mission.",
     STEP_KINDS,
     "one step per list entry, such as hold: {seconds: 1.0}",
+    (Step,),
 )
 
 
@@ -113,14 +112,14 @@ class TeamMission:
             assignment = team.assignment or Assignment.fixed(team.robots)
             start["assignment"] = assignment.to_dict()  # of the plan that ended so
             team = team.of_problem
-        elif self.form is not None and self.form.assign == "fixed":
+        elif self.form is not None and self.form.assigns_in_order:
             start["assignment"] = Assignment.fixed(team.robots).to_dict()
         return request_fields(team, self.requirements, start)
 
     @property
-    def form(self) -> Form | None:
+    def form(self) -> Step | None:
         """The first step that ties a hitch, which says how robots are assigned to edges."""
-        return next((step for step in self.steps if isinstance(step, Form)), None)
+        return next((step for step in self.steps if step.assigns_in_order is not None), None)
 
     @property
     def start_outline(self) -> Outline | None:
@@ -164,8 +163,9 @@ HITCH_SEPARATION = ("cable", "crossing", "object")
 ANY_STEP = single_key(
     "TeamStep",
     "One step of a team, or of single drones.",
-    STEP_KINDS | {Fly.name: Fly},
+    ALL_STEP_KINDS,
     "one step, or a list of steps, such as hold: {seconds: 1.0}",
+    (Step,),
 )
 
 
@@ -178,7 +178,7 @@ def check_team_names(teams: Any, start: Any, mission: Any) -> None:
         for name in section if isinstance(section, Mapping) else ():
             if name not in names:
                 remedy = closest_word(name, names)
-                if name in (*STEP_KINDS, Fly.name):
+                if name in ALL_STEP_KINDS:
                     remedy = f"write {names[0]}: {{{name}: …}}"
                 outside = Circumstance("not under the name of a team")
                 raise InputError(join_key(path, name), outside, "under a team's name", remedy)

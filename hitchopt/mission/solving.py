@@ -20,7 +20,6 @@ from hitchopt.errors import (
     Violation,
     planners_faults,
 )
-from hitchopt.friction.settling import with_settling
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
@@ -33,15 +32,24 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.candidates import Effort, explained_once
 from hitchopt.planners.ends import split_hitch
+from hitchopt.planners.finishing import after_step
 from hitchopt.planners.path import Path
 from hitchopt.planners.rests import check_at_rest, check_start
 from hitchopt.planners.task import RestState, StepPlan, StepTask
+from hitchopt.slices import provided
 from hitchopt.steps.blended import plan_blended
 from hitchopt.steps.hitch_step import NonstopStep
 from hitchopt.steps.step import Step
-from hitchopt.teams.planning import CertifiedFlight, schedule_teams
 
 AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedFlight:
+    """Flight of a whole plan with its certificate."""
+
+    flight: Flight  # The flight
+    certificate: Certificate  # Its certificate
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +122,9 @@ def _plan_teams(
         for name, mission in problem.teams.items()
     }
     if problem.others or len(alone) > 1:
-        return schedule_teams(problem, {name: each.motion for name, each in alone.items()}, report)
+        motions = {name: each.motion for name, each in alone.items()}
+        scheduled: CertifiedFlight = provided("schedule")(problem, motions, report)
+        return scheduled
     (only,) = alone.values()
     return CertifiedFlight(Flight.of(only.motion), only.certificate)
 
@@ -215,7 +225,7 @@ def _start_state(mission: TeamMission, requirements: Requirements, report: Progr
     check_start(StepTask(state, 0, requirements))
     assignment = Assignment.fixed(team.robots)
     form = mission.form
-    if form is not None and form.assign == "auto":
+    if form is not None and not form.assigns_in_order:
         report("assigning robots to edges")
         with planners_faults():
             assignment = form.assignment(team, start.drones, requirements)
@@ -251,7 +261,7 @@ def _new_plan(group: tuple[Step, ...], task: StepTask, report: Progress) -> Step
             plan = plan_blended(nonstop_steps, task)
         # Cables slid in the last step that has the key, if a transport follows
         settling = [step.settling for step in group if "settle" in vars(step)]
-        plan = with_settling(plan, task, settling[-1] if settling else False)
+        plan = after_step(plan, task, settling[-1] if settling else False)
     report(f"certifying step {task.index} ({group[0].name})")
     _ = plan.certificate  # stored with the plan
     return plan

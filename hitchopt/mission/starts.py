@@ -13,8 +13,15 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import OR_OPEN, UNIT_ERROR_RATIO, checked_polygon, count_error
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.planners.ends import SlackSplit
-from hitchopt.steps.keys import LEGS, LEGS_TEXT, Legs, Polygon, slack_split
-from hitchopt.swarms.steps import SWARM_PLACES, check_count
+from hitchopt.steps.keys import (
+    LEGS,
+    LEGS_TEXT,
+    SWARM_PLACES,
+    Legs,
+    Polygon,
+    check_count,
+    slack_split,
+)
 from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, Record, documented, points
 from hitchopt.values.units import ALTITUDE, warn_of_unit

@@ -10,7 +10,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.mission.starts import words_of
 from hitchopt.objects import SolidObject
-from hitchopt.steps import STEPS
+from hitchopt.steps import STEP_KINDS
 from hitchopt.steps.step import Stage, Step
 from hitchopt.values import closest_word, text
 
@@ -97,7 +97,7 @@ def check_blend(steps: tuple[Step, ...], i: int) -> None:
     if step.blends and not following:
         raise InputError("blend", True, "false in the last step", "omit it: nothing follows")
     if step.blends and following and not following[0].blendable:
-        names = ", ".join(kind.name for kind in STEPS if kind.blendable)
+        names = ", ".join(kind.name for kind in STEP_KINDS.values() if kind.blendable)
         remedy = f"omit it: only {names} can be blended into one another"
         raise InputError("blend", True, f"false before a {following[0].name}", remedy)
     if step.blends and isinstance(step.settling, float):

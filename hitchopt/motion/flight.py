@@ -421,3 +421,25 @@ def same_object(one: SolidObject, other: SolidObject) -> bool:
         and np.array_equal(a.section.core, b.section.core)
         for a, b in zip(one.slabs, other.slabs, strict=True)
     )
+
+
+def drone_places(flight: Flight) -> list[dict[str, str]]:
+    """Return a row per drone on a cable, in the problem's order: end of an edge, and mass."""
+    rows = list[dict[str, str]]()
+    for each in flight.teams:
+        team = each.motion.team
+        if not team.has_cables:
+            continue
+        ends = team.layout.anchors.tolist()
+        for name, place in zip(team.listed_names, team.listed.tolist(), strict=True):
+            edge, end = divmod(place, 2)
+            rows.append(
+                {
+                    "drone": each.label(name),
+                    "place": f"edge {edge}, {('start', 'end')[end]}",
+                    "vertex": team.point_names[ends[place]],
+                    "leg": f"{'de'[end]}_{edge}",
+                    "mass": f"{1e3 * team.mass[place]:.4g} g",
+                }
+            )
+    return rows

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.drones.controllers import RECORDED_TUBE, Tube
 from hitchopt.drones.quadrotor import LARGEST_DEFAULT, MODELS, usual_ellipsoid
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
@@ -451,3 +452,18 @@ def centre_path(pose: Array, body: SolidObject) -> Array:
     sine = pose[:, 4]
     offset = [cosine * x - sine * y, sine * x + cosine * y, np.full_like(cosine, z)]
     return np.asarray(pose[:, :3] + np.stack(offset, axis=1))
+
+
+def tracking_notes(flight: Flight) -> Iterator[str]:
+    """Yield a note if ``limits.tracking`` is the error of a simulated controller."""
+    for each in flight.teams:
+        tube = each.motion.requirements.limits.tube
+        team = each.motion.team
+        if team.tracking is None or Tube.of(team.tracking) != tube:
+            continue
+        if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
+            yield (
+                f"distances hold if drones stay within {tube}; real drones in public logs were off "
+                f"by {Tube(*RECORDED_TUBE)}: set limits.tracking to your measured error"
+            )
+            return

@@ -18,7 +18,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.support import Feature, Neighbour, refused_value, unsupported
-from hitchopt.values import Array, as_array, nonnegative, positive
+from hitchopt.values import Array, as_array, finite, nonnegative, positive
 
 HOVER = np.array([0.0, 0.0, GRAVITY])  # [m/s²] Specific thrust that compensates gravity
 
@@ -26,6 +26,7 @@ END_TOLERANCE = 1e-6
 """[s] Minimum distance of a plan's end from the last regular sample at which it is sampled."""
 
 MIN_THRUST = 1e-9  # [N] Smallest divisor of thrusts
+MAX_RATE = 10_000.0  # Maximum sampling rate [Hz]: no flight controller accepts a higher one
 MAX_SAMPLES = 50_000_000  # Maximum number of samples; more are refused before memory is allocated
 
 TAUT_RATIO = 0.9
@@ -399,3 +400,11 @@ def fitted_hitch(team: Team, drones: Array, vertices: Array, legs: Array) -> Hit
         if max(np.max(np.abs(leg_step)), np.max(np.abs(roll_step))) < CONVERGED:
             break
     return hitch_of(hitch.q_legs, np.where(np.abs(hitch.roll) < ROLL_ROUNDING, 0.0, hitch.roll))
+
+
+def checked_rate(rate: object, key: str = "rate") -> float:
+    """Return the rate [Hz]; raises InputError if it is no number or out of range."""
+    number = finite(key, rate)
+    if not 0.0 < number <= MAX_RATE:
+        raise InputError(key, rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
+    return number

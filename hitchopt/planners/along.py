@@ -12,12 +12,13 @@ import numpy as np
 
 from hitchopt.checks.registry import distances_from, names_of
 from hitchopt.errors import AT_END
-from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.ends import end_of_transport
+from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.actions import Action, ActionMorph, FlownAction
 from hitchopt.planners.morph.detours import Translatable, detours
 from hitchopt.planners.morph.legs import largest_roll
@@ -168,7 +169,7 @@ def plan_like(
 def transport_plan(task: StepTask, to: Array) -> StepPlan:
     """Return the plan of the step ``transport`` to a goal (3,) [m], with its defaults."""
     plan = rigid_plan(task, to, 0.0, Phase("transport", task.index, 0.0, 0.0))
-    return with_friction_feedforward(plan, timed=False)
+    return finished(plan, timed=False).plan
 
 
 MAX_ROLLING = 4  # Maximum number of paths with legs that roll that are certified for one flight
@@ -248,3 +249,12 @@ def _further_drones(names: Sequence[str], verb: str, reason: str) -> str:
     """Describe drones that move in addition to those of an action."""
     ending = "s" if len(names) == 1 else ""
     return f"{', '.join(names)} {verb}{ending} as well: {reason}"
+
+
+def vertical_motion(
+    hitch: Hitch, altitude: float, requirements: Requirements, phase: Phase
+) -> Motion:
+    """Return the motion of a hitch straight up or down; it sets the end of ``phase``."""
+    path = RigidPath(hitch, np.append(hitch.polygon.centroid, altitude), 0.0)
+    motion = motion_along(path, requirements)
+    return motion.replaced(phases=(replace(phase, end=motion.duration),))

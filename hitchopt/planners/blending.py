@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Phase
 from hitchopt.planners.along import past_obstacles
 from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.legs import largest_roll, rolling_paths
 from hitchopt.planners.morph.morph import BlendedMorph, check_distances
 from hitchopt.planners.path import Path
@@ -114,7 +114,7 @@ class BlendedSteps:
         )
         phased = motion.replaced(phases=self._phases(times.tolist()))
         plan = task.plan_ending(phased, morph.hitches[-1])
-        return with_friction_feedforward(plan, timed=False)
+        return finished(plan, timed=False).plan
 
     def _phases(self, times: Sequence[float]) -> tuple[Phase, ...]:
         """Return the phases of the steps, which begin and end at times (steps + 1,) [s]."""

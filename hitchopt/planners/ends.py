@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import AT_END, InfeasibleError, Violation
-from hitchopt.geometry import Outline
+from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import cable_slack
+from hitchopt.hitch.hitch import balanced_legs, cable_slack
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import MAX_ROBOTS
-from hitchopt.planners.candidates import Candidate, Effort, first_certified
+from hitchopt.planners.candidates import Candidate, Effort, first_certified, if_feasible
 from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDING_TOLERANCE
 from hitchopt.planners.rests import check_at_rest
@@ -155,3 +156,17 @@ def _nearest(
         separation=requirements.separation,
         arena=requirements.arena,
     )
+
+
+def spread_hitch(
+    team: Team, polygon: ConvexPolygon, altitude: float, requirements: Requirements
+) -> Hitch | None:
+    """Return the hitch with spread legs without roll, or None if they break a distance."""
+
+    def spread() -> Hitch | None:
+        """Return the hitch."""
+        legs = balanced_legs(team, polygon)
+        split = LegTask.at_rest(team, polygon, legs, requirements, SPREAD_MARGIN).split()
+        return Hitch(team, polygon, altitude, split.q_legs[0]) if split.margin >= 1.0 else None
+
+    return if_feasible("spread legs", spread, None)

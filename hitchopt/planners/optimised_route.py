@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.errors import HitchoptError, InfeasibleError, Reason
-from hitchopt.friction.compensation import compensated
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.along import past_obstacles, plan_along
 from hitchopt.planners.candidates import Effort, if_feasible
+from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.morph import load_violation, shape_violation
 from hitchopt.planners.path import Path
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
@@ -149,7 +149,7 @@ def refined_plan(
     if path is None:
         return plan, ""
     has_friction = cost is None and task.hitch.team.friction > 0.0
-    leaning = compensated(plan, timed=False) if has_friction else None
+    leaning = finished(plan, timed=False) if has_friction else None
 
     def certified(route: Path, motion: Motion) -> StepPlan | None:
         """Return the certified plan of a shorter motion along another path."""
@@ -158,7 +158,7 @@ def refined_plan(
         if not shorter.certificate.certified:
             return None
         if leaning is not None:
-            also_leaning = compensated(shorter, timed=False)
+            also_leaning = finished(shorter, timed=False)
             is_longer = also_leaning.plan.motion.duration >= leaning.plan.motion.duration
             if is_longer or also_leaning.share < leaning.share:
                 return None

@@ -387,3 +387,13 @@ def _constant_jets(values: Array, points: int, count: int) -> Array:
     constants = np.zeros((points, len(values), count))
     constants[..., 0] = values
     return constants
+
+
+def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -> Array | None:
+    """Return jets (J, n, 2, 4) of legs' cable lengths [m]; None for massless cables.
+
+    Legs have chords (J, 2n, 3, 4) [m] and the chords' lengths (J, n, 2, 4) [m].
+    """
+    if team.cable_density == 0.0:
+        return None
+    return cable_along(team, chords, np.repeat(tensions, 2, axis=1)).reshape(lengths.shape)

@@ -9,7 +9,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.errors import AT_END
-from hitchopt.friction.compensation import with_friction_feedforward
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
@@ -17,6 +16,7 @@ from hitchopt.motion.motion import Phase
 from hitchopt.planners.along import past_obstacles, plan_along, straight_plan
 from hitchopt.planners.candidates import Candidate, first_certified, if_feasible
 from hitchopt.planners.ends import SlackSplit, end_of_morph
+from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.optimised_route import OptimisedRoute
 from hitchopt.planners.rests import check_at_rest
@@ -180,4 +180,4 @@ def morph_plan(task: StepTask, polygon: Outline, legs: SlackSplit | None = None)
 
     candidates = leg_candidates(task, phase, legs, plan_with)
     plan = first_certified(candidates, task.effort, task.progress)
-    return with_friction_feedforward(plan, timed=False)
+    return finished(plan, timed=False).plan

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from hitchopt.carrying.planner import GraspState, MovePlanner
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.certifying import certify_part
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import Progress, RequestError, StepPlace
-from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase, concatenated
@@ -34,11 +33,10 @@ class RestState:
     hitch: Hitch | None = None  # The hitch; None for free cables
     # (clasps,): turning senses of the pairs, 1 if q went up first; None for an initial hitch
     senses: Array | None = None
-    swap: SwapSettings = field(default_factory=SwapSettings)  # Settings of these turns
-    # The enclosed or held object; ``hitch`` is then without the object's weight
-    grasp: GraspState | None = None
     # Objects at their current poses; None for those of the problem
     objects: Mapping[str, SolidObject] | None = None
+    # What slices leave to later steps, by names of theirs; ``hitch`` is without held weights
+    kept: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def tied(self) -> Hitch:
@@ -51,6 +49,10 @@ class RestState:
     def assumed_senses(self) -> Array:
         """Turning senses (clasps,) of the pairs; ones for an initial hitch."""
         return np.ones(len(self.team.layout.clasps)) if self.senses is None else self.senses
+
+    def keeping(self, name: str, value: Any) -> RestState:
+        """Return the state with what a slice leaves to later steps under a name."""
+        return replace(self, kept={**self.kept, name: value})
 
     def with_objects(self, requirements: Requirements) -> Requirements:
         """Return requirements with the objects of this state."""
@@ -116,18 +118,6 @@ class StepTask:
         """The hitch at the start; raises InputError on free cables."""
         return self.before.tied
 
-    @property
-    def grasp(self) -> GraspState:
-        """The enclosed or held object; raises InputError without one."""
-        if self.before.grasp is None:
-            raise RequestError("start", "no object", "an enclosed object", "enclose one first")
-        return self.before.grasp
-
-    @property
-    def held(self) -> MovePlanner:
-        """Planner of moves with the enclosed or held object; raises InputError without one."""
-        return MovePlanner(self.grasp, self.requirements, self.index)
-
     def within(self, requirements: Requirements, state: RestState) -> StepTask:
         """Return the task with other requirements and another start."""
         return replace(self, before=state, requirements=requirements)
@@ -135,28 +125,6 @@ class StepTask:
     def plan_ending(self, motion: Motion, hitch: Hitch) -> StepPlan:
         """Return the plan of a motion to a hitch."""
         return StepPlan(motion, replace(self.before, hitch=hitch, drones=hitch.drones))
-
-    def plan_with_object(
-        self, motion: Motion, grasp: GraspState, place: Array, below: float = 0.0
-    ) -> StepPlan:
-        """Return the plan of a motion to a grasp, with the object's base at a pose (4,).
-
-        The clasps end ``below`` the rim [m].
-        """
-        body = self.requirements.objects[grasp.object].moved_to(place)
-        hitch = self.before.hitch
-        hold = grasp.hold
-        if hold is not None:
-            drop = float(hold.drop(grasp.tension, float(grasp.carried)))
-            hitch = hold.hitch(body, below + drop)
-        after = replace(
-            self.before,
-            drones=motion.drones.at(motion.duration),
-            hitch=hitch,
-            grasp=grasp,
-            objects={**self.requirements.objects, grasp.object: body},
-        )
-        return StepPlan(motion, after)
 
 
 def slowed_to_duration(motion: Motion, duration: float | None, phase: Phase) -> Motion:

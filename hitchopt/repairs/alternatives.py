@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.drones.controllers import MIN_TRACKING, Gains, Tube, of_same_firmware, stiffest_gains
+from hitchopt.drones.controllers import MIN_TRACKING, Tube
 from hitchopt.errors import InputError, Reason, UnitWarning, Violation
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Quadrotor
+from hitchopt.mission.advice import can_be_stiffer, stiffest
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.starts import HitchStart
 from hitchopt.objects import Rim
@@ -87,35 +87,13 @@ def retuning_changes(problem: Problem) -> Iterator[Change]:
     kinds = problem.team.quadrotor
     if not can_be_stiffer(kinds):
         return
-    values = [quadrotor_keys(_stiffest(kind)) for kind in kinds]
+    values = [quadrotor_keys(stiffest(kind)) for kind in kinds]
     are_equal = all(each == values[0] for each in values)
     edits = (Edit("team.quadrotor", values[0] if are_equal else values),)
     changed = with_edits(problem, edits)
     old = ", ".join(dict.fromkeys(str(kind.controller) for kind in kinds if kind.controller))
     new = f"{values[0].get('controller')} with gains {values[0].get('gains')}".replace("'", "")
     yield Change("team.quadrotor.controller", "", old, new, "", 0.0, changed, edits)
-
-
-def can_be_stiffer(kinds: Sequence[Quadrotor]) -> bool:
-    """Return whether a controller of some firmware has smaller errors with other gains."""
-    errors = (
-        [Tube.of(each.loop.tracking).largest for each in (_stiffest(kind), kind)]
-        for kind in kinds
-        if kind.controller is not None
-    )
-    return any(smallest < error for smallest, error in errors)
-
-
-def _stiffest(kind: Quadrotor) -> Quadrotor:
-    """Return a quadrotor with the controller of its firmware that has the smallest errors.
-
-    On a Crazyflie that is mellinger. A quadrotor without a named controller stays as it is.
-    """
-    if kind.controller is None:
-        return kind
-    name = "mellinger" if "mellinger" in of_same_firmware(kind.controller) else kind.controller
-    gains = stiffest_gains(kind.mass, kind.latency, name)
-    return with_fields(kind, controller=name, gains=Gains.of(gains))
 
 
 RIM_OVERHANG = 0.03  # [m] Overhang over the body of rims that suggestions try

@@ -24,6 +24,7 @@ from hitchopt.errors import (
     contained,
     time_left,
 )
+from hitchopt.mission import MAX_SUGGESTIONS
 from hitchopt.mission.problem import Problem
 from hitchopt.repairs.alternatives import (
     retuning_changes,
@@ -45,7 +46,6 @@ BUDGET = 18.0  # Default time after which no further plan is started [s]: a refu
 TRIAL_SHARE = 1.0 / 3.0
 """Share of this time after which the plan of a change is given up: others may be found at once."""
 
-NO_CHANGE = "no change was found that makes it feasible"  # Message without any suggestion
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes of changes; each is tried for all knobs before the next one."""
@@ -65,7 +65,6 @@ SIZE_DECIMALS = 6  # Decimals within which sizes tie
 RESOLUTION = 0.005  # Tolerance of the bisection, relative to the new value
 
 MAX_SIZE_RATIO = 4.0  # Maximum ratio of a suggestion's size to the smallest one
-MAX_SUGGESTIONS = 3  # Maximum number of suggestions
 
 MAX_GROWTH = 20.0
 """Largest increase of a length in suggestions, over its value or extent: if more is needed, another

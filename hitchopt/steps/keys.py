@@ -9,13 +9,13 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 
-from hitchopt.errors import InputError, UnitWarning
+from hitchopt.errors import Circumstance, InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.hitch import checked_roll
-from hitchopt.hitch.team import MAX_ROBOTS
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
 from hitchopt.planners.ends import SPLIT, SPLIT_TEXT, RolledLegs, SlackSplit
-from hitchopt.values import Array, Points, finite, per_robot
+from hitchopt.values import Array, Points, counted, finite, per_robot
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -39,6 +39,7 @@ from hitchopt.values.units import (
 OBJECT_NAME = strings(50, 1, "[A-Za-z0-9_ -]+", "of letters, digits, spaces, - and _")
 POINT2 = points((2,), "x, y")
 POINT3 = points((3,), "x, y, z")
+SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 OUTLINE = within_usual(points((None, 2), "x, y", 3, MAX_ROBOTS + 1, Outline), USUAL_OUTLINE, 0.7)
 INDEX = integers(0, MAX_ROBOTS - 1)
 
@@ -131,3 +132,11 @@ ObjectOf = Annotated[str, Key(OBJECT_NAME, "Name of the object", "box")]
 Place = Annotated[Points, Key(POINT3, "Goal [x, y, z] of its base [m]", [1, 0, 0])]
 Yaw = Annotated[float, Key(TURN, "Rotation, counter-clockwise")]
 Polygon = Annotated[Outline | Points, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
+
+
+def check_count(key: str, places: Array, team: Team) -> None:
+    """Raise InputError unless there is one position per drone."""
+    if len(places) != team.drones:
+        needed = counted(team.drones, "point")
+        counts = Circumstance(f"{counted(len(places), 'point')}, not {needed}, one per drone")
+        raise InputError(key, counts, needed, "change team.drones, or these")

@@ -7,14 +7,13 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
 from hitchopt.checks.registry import RULE_OF, distances_of, names_of
 from hitchopt.errors import InfeasibleError, InputError, RequestError, Violation
-from hitchopt.friction.settling import settling_plan
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
@@ -26,10 +25,10 @@ from hitchopt.planners.ends import End, end_of_morph, end_of_transport, moved_po
 from hitchopt.planners.rests import hover_motion, rest_motion
 from hitchopt.planners.routes import RouteSearch
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
+from hitchopt.slices import hooks
 from hitchopt.steps.hitch_step import ActionStep, HitchStep, NonstopStep, ShapeStep
 from hitchopt.steps.keys import (
     AUTO,
-    AUTO_SECONDS,
     LEGS,
     LEGS_TEXT,
     POINT2,
@@ -44,7 +43,7 @@ from hitchopt.steps.keys import (
     Yaw,
 )
 from hitchopt.steps.knob import PLAN_DURATION, Edit, Edits, Knob, checks_relaxed_by, scaled_points
-from hitchopt.steps.step import Stage, Step
+from hitchopt.steps.step import Stage
 from hitchopt.values import Array, Points, as_array, bounded_points, known, plain
 from hitchopt.values.fields import (
     FLAGS,
@@ -66,7 +65,6 @@ __all__ = [  # noqa: RUF022, in the order of the keys of problem files
     "Adjust",
     "FollowVertex",
     "Transport",
-    "Settle",
 ]
 
 
@@ -82,44 +80,18 @@ class Hold(HitchStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch, or of drones on free cables, at rest."""
-        before = task.before
-        if before.grasp is not None and before.grasp.hold is not None:
-            return self.plan_of_moves(task, task.grasp, [task.held.rest(self.seconds)])
-        if before.hitch is not None:
+        for rest in hooks("held_rest") if task.before.kept else ():
+            plan: StepPlan | None = rest(self, task, self.seconds)
+            if plan is not None:
+                return plan
+        if task.before.hitch is not None:
             return super().plan(task)
-        return StepPlan(hover_motion(task, self.seconds), before)
+        return StepPlan(hover_motion(task, self.seconds), task.before)
 
-    def plan_uncompensated(self, task: StepTask) -> StepPlan:
+    def plan_unfinished(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch at rest."""
         motion = rest_motion(task.hitch, task.requirements, self.seconds, self.phase(task))
         return task.plan_ending(motion, task.hitch)
-
-
-@documented
-@dataclass(frozen=True)
-class Settle(Step):
-    """Remove friction hysteresis at the clasps.
-
-    Vertices over-travel inward and outward, each time less far, and return to where they were.
-    """
-
-    time_key: ClassVar[str] = "seconds"
-    seconds: Annotated[
-        float | Literal["auto"],
-        Key(AUTO_SECONDS, "Duration; auto: as far as limits allow", 15),
-    ] = AUTO
-
-    def resolved_for(self, team: Team) -> Self:
-        """Return the step, or raise InputError for a team whose cables have no friction."""
-        if team.friction == 0.0:
-            bound = "used with a team whose cables have friction"
-            remedy = "set team.cable_friction, or omit the step"
-            raise InputError("", "no friction", bound, remedy)
-        return super().resolved_for(team)
-
-    def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of vertices that over-travel about their places."""
-        return settling_plan(task, self.prescribed_duration, self.phase(task), requested=True)
 
 
 @dataclass(frozen=True)
@@ -618,7 +590,7 @@ class Transport(NonstopStep):
         ]
         return [step.end(task).hitch for step in (*on_way, self)]
 
-    def plan_uncompensated(self, task: StepTask) -> StepPlan:
+    def plan_unfinished(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
         return rigid_plan(task, np.asarray(self.to), self.yaw, self.phase(task), self.duration)
 

@@ -9,22 +9,25 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Literal, Self
 
-from hitchopt.carrying.moves import Move
-from hitchopt.carrying.planner import GraspState
 from hitchopt.errors import Circumstance, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.hitch import checked_polygon
-from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.planners.ends import SlackSplit
 from hitchopt.planners.task import StepPlan, StepTask, slowed_to_duration
-from hitchopt.planners.timing.timed_motion import check_duration
 from hitchopt.steps.keys import slack_split
 from hitchopt.steps.knob import PLAN_DURATION, Edits, Knob, scaled_outline_edit
 from hitchopt.values import Array
 from hitchopt.values.fields import Record
+
+
+def key_of(name: str) -> str:
+    """Return the key in problem files of a record of steps: its name in snake case."""
+    return re.sub(r"(?<=.)([A-Z])", r"_\1", name).lower()
 
 
 class Stage(StrEnum):
@@ -59,7 +62,7 @@ class Step(Record, ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        cls.name = re.sub(r"(?<=.)([A-Z])", r"_\1", cls.__name__).lower()
+        cls.name = key_of(cls.__name__)
 
     @property
     def prescribed_duration(self) -> float | None:
@@ -169,19 +172,14 @@ class Step(Record, ABC):
         """Return the motion slowed down to the prescribed duration, if there is one."""
         return slowed_to_duration(motion, self.prescribed_duration, self.phase(task))
 
-    def plan_of_moves(self, task: StepTask, grasp: GraspState, moves: Sequence[Move]) -> StepPlan:
-        """Return the plan of consecutive moves to a grasp, in the prescribed duration.
+    @property
+    def assigns_in_order(self) -> bool | None:
+        """Return whether robot k takes edge k; None if the step ties no hitch."""
+        return None
 
-        Their laws are slowed down, not their curves: legs tilt with the object's acceleration.
-        """
-        duration = self.prescribed_duration
-        if duration is not None:
-            fastest = sum(move.law.duration for move in moves)
-            check_duration(duration, fastest, self.phase(task).place)
-            moves = [replace(move, law=move.law.slowed(duration / fastest)) for move in moves]
-        motion = task.held.motion(moves, self.name)
-        last = moves[-1]
-        return task.plan_with_object(motion, grasp, last.end, last.below[1])
+    def assignment(self, team: Team, drones: Array, requirements: Requirements) -> Assignment:  # noqa: ARG002
+        """Return the assignment of robots to edges that a step makes which ties a hitch."""
+        return Assignment.fixed(team.robots)
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the numbers that repair may change: a prescribed duration."""

@@ -7,25 +7,15 @@ from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
-from hitchopt.errors import Circumstance, InfeasibleError, InputError, Violation
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits
-from hitchopt.hitch.team import MAX_DRONES
 from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.steps.keys import SWARM_PLACES, check_count
 from hitchopt.steps.step import Stage, Step
-from hitchopt.values import Array, Points, counted
-from hitchopt.values.fields import Key, documented, points
+from hitchopt.values import Points
+from hitchopt.values.fields import Key, documented
 from hitchopt.values.units import DURATION
-
-SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
-
-
-def check_count(key: str, places: Array, team: Team) -> None:
-    """Raise InputError unless there is one position per drone."""
-    if len(places) != team.drones:
-        needed = counted(team.drones, "point")
-        counts = Circumstance(f"{counted(len(places), 'point')}, not {needed}, one per drone")
-        raise InputError(key, counts, needed, "change team.drones, or these")
 
 
 @documented

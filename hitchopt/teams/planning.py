@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from hitchopt.checks import Certificate, certify
+from hitchopt.checks import certify
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, Progress, Violation
 from hitchopt.hitch.requirements import Separation
 from hitchopt.mission.problem import Problem
+from hitchopt.mission.solving import CertifiedFlight
 from hitchopt.motion.flight import Flight, TeamMotion, own_objects
 from hitchopt.motion.motion import WAIT, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
@@ -44,14 +45,6 @@ CLIMB = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of a unit climb; its first three derivatives vanish at both ends."""
 
 PEAK_DERIVATIVES = 35.0 / 16.0, 7.5132, 52.5  # Maxima of the first three derivatives of CLIMB
-
-
-@dataclass(frozen=True, eq=False)
-class CertifiedFlight:
-    """Flight of a whole plan with its certificate."""
-
-    flight: Flight  # The flight
-    certificate: Certificate  # Its certificate
 
 
 def schedule_teams(

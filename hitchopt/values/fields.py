@@ -666,10 +666,10 @@ def single_key(
 ) -> Kind:
     """Return the kind of mappings with a single key, which names the record of its value.
 
-    Records, and values of the types ``accepted``, are accepted as they are.
+    Values of the types ``accepted``, such as the records themselves, are accepted as they are. A
+    record is looked up when its key is used.
     """
-    kinds = {key: mapping_of(record) for key, record in records.items()}
-    types, noun = (*records.values(), *accepted), name.removeprefix("Team").lower()
+    noun = name.removeprefix("Team").lower()
 
     def example_of(kind: str) -> str:
         """Return an example of a kind with its required keys."""
@@ -677,28 +677,29 @@ def single_key(
         return f"{kind}: {_as_yaml({k.name: k.example for k in keys if k.default is EMPTY})}"
 
     def check(key: str, value: Any) -> Any:
-        if isinstance(value, types):
+        if isinstance(value, accepted):
             return value
-        if isinstance(value, str) and value in kinds:
+        if isinstance(value, str) and value in records:
             raise InputError(key, value, MAPPING, f"write {example_of(value)}")
         if not isinstance(value, Mapping):
             raise form_error(key, value, MAPPING)
         if len(value) != 1:
-            bound = f"a mapping with exactly one of the keys {', '.join(kinds)}"
+            bound = f"a mapping with exactly one of the keys {', '.join(records)}"
             raise InputError(key, value, bound, f"write {example}")
         ((kind, content),) = value.items()
-        if kind not in kinds:
+        if kind not in records:
             refuse_retired(join_key(key, kind))
-            remedy = closest_word(kind, list(kinds))
-            for each in kinds:
+            remedy = closest_word(kind, list(records))
+            for each in records:
                 remedy = remedy.replace(f"mean {each}?", f"mean {example_of(each)}?")
             raise InputError(join_key(key, kind), content, f"{KNOWN}{noun}", remedy)
         if form_of(content) != MAPPING:
             raise InputError(join_key(key, kind), content, MAPPING, f"write {example_of(kind)}")
-        return kinds[kind].check(join_key(key, kind), content)
+        return mapping_of(records[kind]).check(join_key(key, kind), content)
 
     def schema(definitions: dict[str, Schema]) -> Schema:
         size = {"minProperties": 1, "maxProperties": 1}
+        kinds = {key: mapping_of(record) for key, record in records.items()}
         return mapping_schema(name, summary, resolved_schema(kinds, definitions), definitions, size)
 
     return Kind((MAPPING,), check, schema)

@@ -10,12 +10,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .arithmetic import POS_TOL, Array
 from .plan import Plan
+from .reading import UnreadableError, read
 from .settings import TYPES
 from .spans import Fault, Row, fault_row
 from .steps import CLOSE, Step, differences, goals_after, legs, size_of, vertices_at, wider_tensions
@@ -27,6 +29,16 @@ NAMES = {"circle": "radius", "to": "upper", "from": "lower", "outline": ""}
 
 LEFT_OUT = {key[:-1] for key in re.findall(r"\w+\*", " ".join(TYPES.values()))}
 """Keys that plans omit if the problem states none."""
+
+
+def contradictions(path: Path) -> list[str]:
+    """Return what a plan's curves show otherwise than the problem in its file requests."""
+    try:
+        plans, _ = read(path)
+    except UnreadableError as error:
+        return [f"not a plan, or a damaged one: {error}"]
+    rows = (row for plan in plans for row in requested(plan))
+    return [f"the problem in it differs: {row.where}" for row in rows if row.verdict == "violated"]
 
 
 def requested(p: Plan) -> Iterator[Row]:

@@ -14,9 +14,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
+from hitchopt.carrying.holding import Capacity, Grip
 from hitchopt.carrying.polygons import rest_polygons
 from hitchopt.cli import main
-from hitchopt.hitch.holding import Capacity, Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Rim
 from hitchopt.planners.fitting import (

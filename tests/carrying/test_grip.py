@@ -14,8 +14,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
+from hitchopt.carrying.holding import Grip, grip_capacity, step_toward_balance, wraps_around
 from hitchopt.carrying.polygons import GripTask, grips
-from hitchopt.hitch.holding import Grip, grip_capacity, step_toward_balance, wraps_around
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.values import Array
 

@@ -17,12 +17,12 @@ from scipy.optimize import brentq
 import hitchopt as ho
 from benchmarks.families import wild_carry
 from hitchopt import verify as second
+from hitchopt.carrying.holding import residual_grip
 from hitchopt.carrying.planner import check_opens
 from hitchopt.checks.grips import GRIP, Gripped, arc_lengths
 from hitchopt.checks.stops import carried_paths
 from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.motion.plan_file import read_plan, write_plan

@@ -167,7 +167,7 @@ def test_interrupts_are_quiet_and_leave_the_diagnosis(monkeypatch: pytest.Monkey
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hitchopt.repairs.repair.find_suggestions", interrupted)
+    monkeypatch.setattr("hitchopt.cli.planning.hooks", lambda _: (interrupted,))
     run("solve", CLOSE, "-o", "out", code=130)
     found = diagnosis()
     assert (found["violations"][0]["constraint"], found["suggestions"]) == ("separation", [])
@@ -176,7 +176,7 @@ def test_interrupts_are_quiet_and_leave_the_diagnosis(monkeypatch: pytest.Monkey
     assert not Path("other").exists()
 
 
-DRAW = "hitchopt.view.pictures.draw_summary"
+DRAW = "hitchopt.view.of_plans.draw_summary"
 
 
 @pytest.mark.filterwarnings("always::hitchopt.errors.FaultWarning")

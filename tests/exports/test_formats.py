@@ -29,11 +29,10 @@ from hitchopt.exports.exporting import export_flight
 from hitchopt.exports.format import format_of
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES, ExportOptions
-from hitchopt.exports.placing import drone_places
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.cable_state import CableState
-from hitchopt.motion.flight import Flight
+from hitchopt.motion.flight import Flight, drone_places
 from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.view.style import drone_colours

@@ -20,6 +20,7 @@ from hitchopt.friction.leaning import (
     FrictionFeedforward,
     friction_feedforward,
 )
+from hitchopt.friction.steps import Settle
 from hitchopt.motion.motion import Motion
 from hitchopt.steps import Step
 from hitchopt.steps.moving import (
@@ -29,7 +30,6 @@ from hitchopt.steps.moving import (
     Morph,
     MoveEdge,
     MoveVertex,
-    Settle,
     Transport,
 )
 from tests.helpers.clasp_balance import unit

@@ -7,9 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.friction.leaning import cables_of_legs
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.model import CLASPS_PER_CHUNK, FlatJets, drone_jets, slipping_drones
+from hitchopt.hitch.model import (
+    CLASPS_PER_CHUNK,
+    FlatJets,
+    drone_jets,
+    slipping_drones,
+)
+from hitchopt.planners.path import cables_of_legs
 from hitchopt.values import Array
 from tests.helpers.clasp_balance import KINDS, random_hitch
 

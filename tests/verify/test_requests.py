@@ -23,7 +23,7 @@ from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.request import check_request
 from hitchopt.motion.retiming import cut, resting
-from hitchopt.steps import STEP_KINDS, STEPS, Step
+from hitchopt.steps import STEP_KINDS, Step
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values.fields import keys_of
 from hitchopt.verify import request, steps
@@ -448,13 +448,13 @@ NOT_COMPARED = {
 def test_every_step_shows_what_it_does() -> None:
     """By a key of its own, or without one: a step that is not compared could do anything."""
     of_own_key = {key.partition(".")[0] for key in steps.STEP_KEYS if "." in key}
-    kinds: list[type[Step]] = [*STEPS, ho.Fly]
+    kinds: list[type[Step]] = [*STEP_KINDS.values(), ho.Fly]
     assert {kind.name for kind in kinds} <= of_own_key | {*steps.IMPLIED}
 
 
 def test_every_key_of_a_step_has_a_row() -> None:
     """No key of a step is left out of comparison unless it is named here, with the reason."""
-    kinds: tuple[type[Step], ...] = (*STEPS, ho.Fly)
+    kinds: tuple[type[Step], ...] = (*STEP_KINDS.values(), ho.Fly)
     keys = [(kind.name, key.name) for kind in kinds for key in keys_of(kind).values()]
     assert {".".join(key) for key in keys if row_of(*key) not in steps.STEP_KEYS} == NOT_COMPARED
     assert steps.STEP_KEYS.keys() <= {row_of(*key) for key in keys}
@@ -492,7 +492,7 @@ def test_check_refuses_in_one_line_what_the_verifier_does_not_read(
         raise second.UnreadableError("breaks are not increasing")
 
     write_plan(tmp_path / "plan.npz", flight_of("moved"), "", MOVED)
-    monkeypatch.setattr(second, "read", refused)
+    monkeypatch.setattr("hitchopt.verify.request.read", refused)
     run = CliRunner().invoke(main, ["check", str(tmp_path)])
     assert run.exit_code == 2
     (line,) = (each for each in run.output.splitlines() if each.startswith("error: "))

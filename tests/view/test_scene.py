@@ -18,10 +18,10 @@ from click.testing import CliRunner
 from matplotlib.transforms import Bbox
 
 import hitchopt as ho
+from hitchopt.carrying.holding import wraps_around
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import FileError, UnsupportedError
-from hitchopt.hitch.holding import wraps_around
 from hitchopt.lab.simulation.ropes import linking_matrix
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.plan_file import write_plan

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.lab.simulation.settings import Loss
 from hitchopt.lab.simulation.task import RATE, Task, TeamTask
-from hitchopt.losses.losing import Remaining, after_loss_of
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import (
     DRONE_FIELDS,
@@ -24,6 +24,7 @@ from hitchopt.motion.states import (
     sample_times,
     states_at,
 )
+from hitchopt.slices import provided
 from hitchopt.support import Feature
 from hitchopt.values import Indices, known
 
@@ -33,7 +34,7 @@ PATH_FIELDS = ("positions", "velocities", "accelerations", "jerks")
 """Fields of states that a path determines."""
 
 
-def task_with_cut(task: Task, loss: Loss, *, react: bool) -> tuple[Task, Remaining]:
+def task_with_cut(task: Task, loss: Loss, *, react: bool) -> tuple[Task, Any]:
     """Return the task of a plan's only team with the loss of a robot, and what remains.
 
     Raises UnsupportedError for several teams; others as ``Plan.after_loss``.
@@ -41,7 +42,7 @@ def task_with_cut(task: Task, loss: Loss, *, react: bool) -> tuple[Task, Remaini
     flight = known(task.of_one_team(Feature.SIMULATED_LOSS).flight)  # files are refused before
     motion = flight.teams[0].motion
     try:
-        found = after_loss_of(flight, loss.name, loss.time)
+        found = provided("after_loss")(flight, loss.name, loss.time)
     except InputError as error:
         raise error.renamed(lambda _: "cut") from None
     states = (_with_reaction if react else _without)(motion, found, loss)
@@ -63,7 +64,7 @@ def _copied(states: States) -> States:
     return States(*(np.array(getattr(states, field.name)) for field in fields(states)))
 
 
-def _with_reaction(motion: Motion, found: Remaining, loss: Loss) -> States:
+def _with_reaction(motion: Motion, found: Any, loss: Loss) -> States:
     """Return the states of the plan until all react, and of what follows."""
     flight = found.flight
     states = _copied(states_at(motion, sample_times(found.begin + flight.duration, RATE)))
@@ -79,7 +80,7 @@ def _with_reaction(motion: Motion, found: Remaining, loss: Loss) -> States:
     return states
 
 
-def _without(motion: Motion, found: Remaining, loss: Loss) -> States:
+def _without(motion: Motion, found: Any, loss: Loss) -> States:
     """Return the states of the plan, above which the drones of a lost robot rise."""
     end = max(motion.duration, loss.time + MIN_TIME)
     states = _copied(states_at(motion, sample_times(end, RATE)))

@@ -1,4 +1,4 @@
-"""Leg laws along a path that keep distances."""
+"""Leg laws along a path (its slack split over s) that keep distances."""
 
 from __future__ import annotations
 
