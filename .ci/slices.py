@@ -32,7 +32,7 @@ JOBS = {
     "verify": "verify out/core -q",
     "exports": "export out/core --format csv -q",
     "view": "report out/core -q",
-    "live": "abort out/core --every 5 -q",
+    "live": "abort out/core --how hold --every 1 -q",
     "losses": "solve problems/survive_a_loss.yaml -o out/losses -q",
     "lab": "statics out/core -q",
 }

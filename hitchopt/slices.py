@@ -54,6 +54,7 @@ SLICES = (
         "forming",
         needs=("swarms",),
         steps={"steps": ("Form", "Release", "Land")},
+        functions={"untie": "steps:untied"},
         names={"api": ("form",), "swap_settings": ("SwapSettings",)},
     ),
     Slice(

@@ -187,6 +187,11 @@ class Release(SpotsStep):
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
 
+def untied(task: StepTask) -> StepPlan:
+    """Return the plan that unties the hitch, as ``release``."""
+    return Release().plan(task)
+
+
 @documented
 @dataclass(frozen=True, eq=False)
 class Land(SpotsStep):

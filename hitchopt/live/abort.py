@@ -44,7 +44,7 @@ from hitchopt.planners.along import vertical_motion
 from hitchopt.planners.candidates import outcome
 from hitchopt.planners.stages import stage, straight_lines
 from hitchopt.planners.task import RestState, StepTask
-from hitchopt.steps import STEP_KINDS
+from hitchopt.slices import provided
 from hitchopt.storage.archive import READ_ERRORS
 from hitchopt.storage.files import digest, file_bytes, parsed_json, replace_files, write_strict_json
 from hitchopt.trajectory.clock_phases import ClockPhases
@@ -436,7 +436,7 @@ def _with_landing(whole: Motion, *, untie: bool) -> Motion:
     need = replace(whole.requirements, objects=objects_at(whole, -1)).with_reserve
     task = StepTask(state, whole.phases[-1].step + 1, need)
     if untie:
-        released = _extended(whole, STEP_KINDS["release"]().plan(task).motion)
+        released = _extended(whole, provided("untie")(task).motion)
         return _extended(released, straight_down(released))
     return _extended(whole, _descent(hitch, need, task.index))
 
