@@ -24,9 +24,7 @@ test: $(VENV)/.tested
 	$(BIN)/python -m pytest -m "not slow" --durations=20
 
 # The tests of the core that name no slice; they run without any of them.
-CORE_TESTS := tests/geometry tests/trajectory tests/objects tests/drones/test_attitude_loops.py \
-	tests/hitch/test_catenary.py tests/hitch/test_hitch.py tests/hitch/test_legs.py tests/hitch/test_model.py \
-	tests/hitch/test_casadi_model.py tests/hitch/test_motion.py tests/hitch/test_twists.py \
+CORE_TESTS := tests/geometry tests/objects tests/hitch/test_hitch.py tests/hitch/test_legs.py tests/hitch/test_model.py \
 	tests/checks/test_bounds.py tests/checks/test_closed_forms.py tests/checks/test_degenerate.py \
 	tests/planners/test_times.py tests/planners/test_retargeting.py tests/planners/test_stages.py
 test-core: $(VENV)/.tested
