@@ -297,11 +297,11 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Held:
-    """What a judge of one method found."""
+class _JudgedHold:
+    """A method of holding an object, and the heaviest one that it holds."""
 
-    judge: HoldJudge
-    heaviest: Heaviest
+    judge: HoldJudge  # Judge of the method, with its team and polygons
+    heaviest: Heaviest  # The largest mass that it holds
 
     @property
     def cable_length(self) -> float:
@@ -320,10 +320,10 @@ def _holding(task: FitTask, robots: int) -> Holding:
     Cables without a stated length are those of the grip, or of the rest of an object with a stem.
     """
     preferred, other = (HoldBy.GRIP, HoldBy.REST)[:: 1 if task.stem is None else -1]
-    first = outcome(partial(_held, task, robots, preferred, task.cable_length))
+    first = outcome(partial(_judged_hold, task, robots, preferred, task.cable_length))
     cable = task.cable_length if isinstance(first, InfeasibleError) else first.cable_length
-    second = outcome(partial(_held, task, robots, other, cable))
-    held = [each for each in (first, second) if isinstance(each, _Held)]
+    second = outcome(partial(_judged_hold, task, robots, other, cable))
+    held = [each for each in (first, second) if isinstance(each, _JudgedHold)]
     if isinstance(first, InfeasibleError) and not held:
         raise first
     grip, rest = (first, second) if preferred is HoldBy.GRIP else (second, first)
@@ -339,15 +339,16 @@ def _holding(task: FitTask, robots: int) -> Holding:
     )
 
 
-def _held(task: FitTask, robots: int, by: HoldBy, cable_length: float | None) -> _Held:
-    """Return what a method holds, with the shortest cables that carry the mass if none is stated.
+def _judged_hold(task: FitTask, robots: int, by: HoldBy, cable_length: float | None) -> _JudgedHold:
+    """Return how a method holds the object; cables are the shortest that carry the mass, or stated.
 
     InfeasibleError: no polygon encloses and holds the object, or cables do not fit around it.
     """
     requirements = replace(task.requirements, objects=_objects(task, by))
+    placeholder = 1.0  # A team states a length; ``shortest_judge`` does not use it
     team = Team(
         robots,
-        1.0 if cable_length is None else cable_length,
+        placeholder if cable_length is None else cable_length,
         cable_density=task.cable_density,
         cable_friction=task.clasp_friction,
         tension=task.tension,
@@ -360,7 +361,7 @@ def _held(task: FitTask, robots: int, by: HoldBy, cable_length: float | None) ->
         polygons = hold_polygons(OBJECT, team, requirements, by, gap)
         _require_length(ConvexPolygon(polygons.around), cable_length, requirements)
         judge = HoldJudge.of(OBJECT, team, requirements, polygons)
-    return _Held(judge, judge.heaviest)
+    return _JudgedHold(judge, judge.heaviest)
 
 
 def _require_length(around: ConvexPolygon, cable: float, requirements: Requirements) -> None:
@@ -375,7 +376,7 @@ def _require_length(around: ConvexPolygon, cable: float, requirements: Requireme
         raise InfeasibleError([violation], "the enclosing polygon does not fit the cables")
 
 
-def _grip_of(task: FitTask, held: _Held | InfeasibleError) -> Grip | InfeasibleError:
+def _grip_of(task: FitTask, held: _JudgedHold | InfeasibleError) -> Grip | InfeasibleError:
     """Return the grip that is held, or the error that there is none."""
     if isinstance(held, InfeasibleError):
         return held
@@ -384,7 +385,7 @@ def _grip_of(task: FitTask, held: _Held | InfeasibleError) -> Grip | InfeasibleE
     return Grip.of(task.section, clasps, cable, task.tension, task.clasp_friction)
 
 
-def _rest_of(held: _Held | InfeasibleError) -> ConvexPolygon | InfeasibleError:
+def _rest_of(held: _JudgedHold | InfeasibleError) -> ConvexPolygon | InfeasibleError:
     """Return the clasps below the rim that hold most, or the error that there are none."""
     if isinstance(held, InfeasibleError):
         return held
@@ -392,7 +393,7 @@ def _rest_of(held: _Held | InfeasibleError) -> ConvexPolygon | InfeasibleError:
     return ConvexPolygon(held.polygons.clasps if hold is None else hold.polygon)
 
 
-def _capacity_of(held: _Held | InfeasibleError) -> Capacity:
+def _capacity_of(held: _JudgedHold | InfeasibleError) -> Capacity:
     """Return the largest mass that is held; an error means none."""
     return _zero_capacity(held) if isinstance(held, InfeasibleError) else held.heaviest.capacity
 

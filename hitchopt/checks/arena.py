@@ -125,7 +125,10 @@ def _part_wall_gap(spans: Parts) -> Bound:
 def _sagging_points(spans: Parts) -> tuple[Array, Array]:
     """Return points (spans, k, 3, degree + 1) on straight parts, and how far cables sag there [m].
 
-    The polygon through the points, lowered by the sags (spans, k), is below the cable.
+    The polygon through the points, lowered by the sags (spans, k), is below the cable. A cable sags
+    by the parabola ``4 S u (1 - u)``, u from 0 to 1, with S its sag at the middle. The polygon is
+    lowered by S from u = 1/4 to 3/4, where no point of the cable is lower. Up to u = 1/4 it is
+    lowered by ``4 S u``, along the parabola's tangent at its end, and so from 3/4 on.
     """
     ends = spans.read(cable_parts(spans.source)[0])
     start = ends[:, :1]

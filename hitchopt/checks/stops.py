@@ -379,9 +379,11 @@ class StopTable:
 
     @property
     def longest(self) -> tuple[Array, Array]:
-        """Longest times to rest [s] from the intervals between starts, and their begins [s].
+        """Longest times to rest [s] of commands in intervals, and the begins of these [s].
 
-        The last interval lies between the last start and the end of the plan.
+        Intervals lie between starts; the last one is from the last start to the end of the plan. A
+        stop that is commanded in an interval may wait for any later start, or for the end of the
+        plan: it takes what rests soonest. It takes longest if commanded right after the begin.
         """
         begins = np.concatenate([[min(0.0, self.starts[0])], self.starts])
         rest_times = np.append(self.starts + self.durations, self.end)

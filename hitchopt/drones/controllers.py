@@ -381,12 +381,9 @@ class FlightController(OneLine):
         kp, kd, ki = gain("kp"), gain("kd"), gain("ki")
         if name == "px4":
             kp, kd, ki = _px4_loop(px4_gains(kp, kd, ki, mass), mass)
-        scale = latency_scale(latency)
-        largest_kp, largest_kd = stock.stiffest
-        if stated.kp or latency:
-            _check_stiffness(name, mass, latency, "kp", kp[0], scale**2 * largest_kp)
-        if scale < 1.0:
-            _check_stiffness(name, mass, latency, "kd", kd[0], scale * largest_kd)
+        _check_gains(
+            name, mass, latency, kp[0], kd[0], is_kp_checked=bool(stated.kp) or bool(latency)
+        )
         softness = stock.measured_stiffness * mass / kp[0]
         tracking = stock.measured_error * softness**TRACKING_EXPONENT
         pull_time = PULL_TIME if stock.filtered else 0.0
@@ -491,6 +488,23 @@ ONE_MARKER = EstimatorParameters(
     level_noise=0.5, upright_noise=1.0, position_error=1e-2, attitude_error=None
 )
 """Defaults of the firmware for drones with one marker; hitches do not hold with them."""
+
+
+def _check_gains(
+    name: str, mass: float, latency: float | None, kp: float, kd: float, *, is_kp_checked: bool
+) -> None:
+    """Raise InputError if horizontal gains are too stiff to fly at a delay ``latency`` [s].
+
+    Default stiffness is checked for stated delays only: without one, the firmware's defaults are
+    taken to fly. Damping has a limit only at delays beyond LATENCY, for which the stiffest gains
+    are scaled down: up to there the limit of kp alone applies.
+    """
+    scale = latency_scale(latency)
+    largest_kp, largest_kd = STOCK[name].stiffest
+    if is_kp_checked:
+        _check_stiffness(name, mass, latency, "kp", kp, scale**2 * largest_kp)
+    if scale < 1.0:
+        _check_stiffness(name, mass, latency, "kd", kd, scale * largest_kd)
 
 
 GAIN_ROUNDING = 0.01  # Relative rounding of stated gains

@@ -41,7 +41,9 @@ class Rest(NamedTuple):
 
 
 def cut_into_parts(task: ExportTask, fits: Fits) -> Sequence[ExportTask]:
-    """Return the task cut at rests into parts that fit; empty if none do.
+    """Return the task cut at rests into parts that fit.
+
+    Empty if other plans fly, if no two or more parts fit, or if none keep all limits.
 
     Parts end where phases end, and are the fewest that do. Where no such part fits, it ends at the
     rest that is nearest to the end of its phase, such as the smallest over-travel. A plan is not
@@ -55,8 +57,10 @@ def cut_into_parts(task: ExportTask, fits: Fits) -> Sequence[ExportTask]:
     rests = flight.breaks[flight.rest_breaks].tolist()
     while len(cuts := _cuts(task, flight, rests, fits)) > 2:
         parts = _parts(task, cuts)
+        # Unless rests matter, the plan's own certificate holds for its parts
         if not _rests_matter(task) or certificate_of(_flown(parts)).certified:
             return parts
+        # Cut again, without the rests that violate a limit by themselves
         uncertified = [cut for cut in cuts[1:-1] if not _may_rest(task, cut)]
         if not uncertified:
             break

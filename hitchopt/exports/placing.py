@@ -156,6 +156,8 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
         if not entry.enabled:
             continue
         role, name = entry.role or default, entry.name or default
+        # The plan places its drones. Positions in a crazyflies.yaml are those of an earlier export:
+        # without them, its fleet equals that of the fleet file from which it was written
         member = replace(entry, role=role, name=name, initial_position=[])
         where = f"{root}.{member.name if root == 'robots' else member.role}"
         if member.role in drones:

@@ -95,10 +95,13 @@ class Course(ByValue):
 def held(motion: Motion, t: Array, frictions: Array, shares: Array) -> Held:
     """Return where frictions (F,) hold the vertices of a hitch at consecutive times t (S,) [s].
 
-    At the first of these clasps hold ``shares`` (F,) of their friction, as in ``held_vertices``.
+    At the first time, clasps hold the fractions ``shares`` (F,) of their friction, as in
+    ``held_vertices``.
     """
     states = states_at(motion, t)
     planned = (states.positions, states.vertices, states.tensions, states.cable_forces)
+    # Equal courses are computed once: as part of a step, a candidate and a whole plan, a motion
+    # starts at other times, and its values differ by rounding
     rounded = [np.round(values, DECIMALS) + 0.0 for values in planned]  # no negative zeros
     positions, vertices, tensions, cable_forces = rounded
     course = Course(motion.team, positions, vertices, tensions, cable_forces, frictions, shares)
@@ -154,8 +157,11 @@ def distances_from_ways(places: Array, ways: Array) -> Array:
     return np.asarray(np.min(length(offsets - nearest), axis=1))
 
 
-def between(values: Array, axes: tuple[int, ...]) -> Array:
-    """Return values plus a quarter of their largest difference to neighbours along axes."""
+def with_reserve_between_samples(values: Array, axes: tuple[int, ...]) -> Array:
+    """Return values plus a quarter of their largest difference to neighbours along axes.
+
+    The axes are those of samples: of times, and of frictions.
+    """
     steps = np.zeros_like(values)
     for axis in axes:
         with np.errstate(invalid="ignore"):  # of two without a balance
@@ -204,12 +210,13 @@ def _shifts(motion: Motion) -> Iterator[WorstCase]:
         if np.max(np.ptp(lengths, axis=(0, -1)), initial=0.0) < MIN_SLIDE:
             continue
         t = sample_times(phase, 0, len(lengths))
-        found = held(phase, t, frictions, np.zeros(len(frictions)))
+        vertices_by_friction = held(phase, t, frictions, np.zeros(len(frictions))).vertices
         ways = states_at(phase, np.linspace(0.0, phase.duration, WAY_SAMPLES)).vertices
-        shifts = np.stack(
-            [distances_from_ways(places, ways) for places in found.vertices.swapaxes(0, 1)], axis=1
-        )
-        shifts = between(shifts, (0, 1))
+        shifts_at_samples = np.stack(
+            [distances_from_ways(places, ways) for places in vertices_by_friction.swapaxes(0, 1)],
+            axis=1,
+        )  # (S, F, points)
+        shifts = with_reserve_between_samples(shifts_at_samples, (0, 1))
         sample, _, vertex = np.unravel_index(int(np.argmax(shifts)), shifts.shape)
         time = float(motion.drones.breaks[part.pieces.start] + t[sample])
         where = (motion.team.point_names[vertex],)
@@ -273,7 +280,7 @@ def _rest_shifts(motion: Motion) -> Iterator[WorstCase]:
         offsets = length(found.vertices - found.planned[:, None])
         offsets = offsets.reshape(len(t), len(shares), len(frictions), -1)
         for sample in np.flatnonzero(np.isin(t, np.subtract(ends, breaks[0]))).tolist():
-            shifts = between(offsets[sample], (1,))
+            shifts = with_reserve_between_samples(offsets[sample], (1,))
             vertex = int(np.unravel_index(int(np.argmax(shifts)), shifts.shape)[-1])
             time = float(breaks[0] + t[sample])
             yield WorstCase(float(np.max(shifts)), time, (motion.team.point_names[vertex],))

@@ -190,13 +190,15 @@ class Catenary:
 
         Times the weight per length [N/m] it is a force [N].
         """
-        inward, downward = pull_terms(self.sigma)
+        inverse_steepness, coth = pull_terms(self.sigma)
         offset = second - first
-        level = 0.5 * offset * np.array([1.0, 1.0, 0.0]) * inward[..., None]
-        level[..., 2] = 0.5 * offset[..., 2] * downward
-        weight = np.stack([level, -level], axis=-2)
-        weight[..., 2] -= 0.5 * self.length[..., None]
-        return weight
+        # The tension draws the first end toward the second one, and the second end back
+        toward_second = 0.5 * offset * np.array([1.0, 1.0, 0.0]) * inverse_steepness[..., None]
+        toward_second[..., 2] = 0.5 * offset[..., 2] * coth
+        pulls = np.stack([toward_second, -toward_second], axis=-2)
+        half_weight = 0.5 * self.length[..., None]
+        pulls[..., 2] -= half_weight
+        return pulls
 
 
 def depth_terms(sigma: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:

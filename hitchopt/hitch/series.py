@@ -106,7 +106,9 @@ class Series:
             return Series(other * self.coefficients)
         a = self.coefficients
         b = other.coefficients
-        if not _is_array(a) or len(b) == 1:
+        # Expressions of casadi have order zero, and a constant has no derivatives: one product each
+        is_order_zero = not _is_array(a)
+        if is_order_zero or len(b) == 1:
             return Series(a * b)
         shorter, longer = (a, b) if len(a) <= len(b) else (b, a)
         product = shorter[0] * longer

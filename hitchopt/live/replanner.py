@@ -439,12 +439,14 @@ class RetargetPath:
         shift = MIN_SHIFT
         for _ in range(SHIFT_ROUNDS):
             breaks = _breaks(brake if self.state.moves else 0.0, shift)
-            h = ONE_SIDED * (breaks[1:] - breaks[:-1])
+            inset = ONE_SIDED * (breaks[1:] - breaks[:-1])
+            piece_ends = np.concatenate([breaks[:-1] + inset, breaks[1:] - inset])
             ends = np.array([brake, shift]) * (1.0 - ONE_SIDED)
-            samples = max(shift, brake) * SAMPLES, ends
-            times = np.concatenate([breaks[:-1] + h, breaks[1:] - h, *samples])
+            samples = np.concatenate([max(shift, brake) * SAMPLES, ends])
+            times = np.concatenate([piece_ends, samples])
             drones = self.drones(times, brake, shift)
-            excess = float(_excess(drones, limits, times)[2 * len(h) :].max())
+            at_samples = slice(len(piece_ends), None)
+            excess = float(_excess(drones, limits, times)[at_samples].max())
             if excess <= SHARE:
                 return self._curves(breaks, drones)
             if not math.isfinite(excess):

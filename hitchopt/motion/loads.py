@@ -109,8 +109,8 @@ def weightless_notes(flight: Flight, request: object) -> Iterator[str]:
 def ellipsoid_notes(flight: Flight, request: object) -> Iterator[str]:
     """Yield a note for every team with heavy drones whose problem does not state an ellipsoid.
 
-    ``request`` is the content of the problem file; if it is None, the default ellipsoid is not
-    stated.
+    Such an ellipsoid is the default one, or that of a named model. ``request`` is the content of
+    the problem file; if it is None, an ellipsoid counts as stated unless it is the default one.
     """
     section = request.get("separation") if isinstance(request, dict) else None
     if isinstance(section, dict) and not {"radius", "height"}.isdisjoint(section):
@@ -118,16 +118,19 @@ def ellipsoid_notes(flight: Flight, request: object) -> Iterator[str]:
     default = Separation()
     for flown in flight.teams:
         motion = flown.motion
-        stated, mass = motion.requirements.separation, float(np.max(motion.team.mass))
+        ellipsoid = motion.requirements.separation
+        mass = float(np.max(motion.team.mass))
+        is_heavy = mass > LARGEST_DEFAULT
         radius, height = usual_ellipsoid(mass)
-        is_small = stated.radius < radius or stated.height < height
-        is_default = (stated.radius, stated.height) == (default.radius, default.height)
-        if mass > LARGEST_DEFAULT and is_small and (is_default or request is not None):
+        is_small = ellipsoid.radius < radius or ellipsoid.height < height
+        is_default = (ellipsoid.radius, ellipsoid.height) == (default.radius, default.height)
+        is_unstated = is_default or request is not None  # a request with axes has returned above
+        if is_heavy and is_small and is_unstated:
             drones = f"drones of {flown.name}" if flown.name else "drones"
             yield (
                 f"{drones} weigh up to {mass:g} kg, but have the default ellipsoid "
-                f"({stated.radius:g} m, {stated.height:g} m); that of x260_bolt, scaled to this "
-                f"mass, has {radius:g} m and {height:g} m: state separation.radius and "
+                f"({ellipsoid.radius:g} m, {ellipsoid.height:g} m); that of x260_bolt, scaled to "
+                f"this mass, has {radius:g} m and {height:g} m: state separation.radius and "
                 "separation.height"
             )
 

@@ -422,10 +422,11 @@ def _normals(differences: Array, nearest: Array, distances: Array) -> Array:
     # For hulls that contain the origin, the nearest point of the curve defines the plane
     inside = distances < MIN_HULL_DISTANCE
     points = _points_of(differences[inside])
-    squared = np.sum(points * points, axis=2)
-    best = first_smallest(squared, np.max(squared, axis=1))
+    squared_distances = np.sum(points * points, axis=2)
+    largest_squared = np.max(squared_distances, axis=1)  # by which rounding is judged
+    closest = first_smallest(squared_distances, scale=largest_squared)
     toward_first = nearest.copy()
-    toward_first[inside] = points[np.arange(len(points)), best]
+    toward_first[inside] = points[np.arange(len(points)), closest]
     normals = unit(toward_first, EAST, MIN_DIRECTION)
     slope = TUNING.normal_slope * np.maximum(TUNING.slope_separation - distances, 0.0)
     normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL_TOLERANCE, slope, 0.0)

@@ -90,8 +90,12 @@ class SampledPath:
         corners = drones_of(motion).corners
         points = PiecewisePolynomial(motion.drones.breaks, corners).at(self.times)
         ends = np.repeat(points, 2, axis=2)
-        no_radii = np.zeros(points.shape[1])
-        return SampledBodies(ends, ends[..., 2], no_radii, np.zeros(len(self), np.bool_))
+        return SampledBodies(
+            corners=ends,
+            heights=ends[..., 2],
+            radii=np.zeros(points.shape[1]),
+            upright=np.zeros(len(self), np.bool_),
+        )
 
     @cached_property
     def cables(self) -> SampledBodies:
@@ -101,7 +105,9 @@ class SampledPath:
         if robots == 0:
             empty = np.zeros((len(self), 0, 2, 3))
             never = np.zeros(len(self), np.bool_)
-            return SampledBodies(empty, empty[..., 2], np.zeros(0), never)
+            return SampledBodies(
+                corners=empty, heights=empty[..., 2], radii=np.zeros(0), upright=never
+            )
         breaks = motion.drones.breaks
         ends = PiecewisePolynomial(breaks, taut_parts(motion).corners).at(self.times)
         sheets = PiecewisePolynomial(breaks, cable_sheets(motion).corners).at(self.times)
@@ -116,7 +122,9 @@ class SampledPath:
         heights_of_parts = np.sort(ends[..., 2], axis=-1)
         heights = np.where(is_taut, heights_of_parts, np.stack([lowest, highest], axis=-1))
         corners = np.where(is_taut[..., None], parts, outlines)
-        return SampledBodies(corners, heights, np.zeros(len(cable)), ~taut)
+        return SampledBodies(
+            corners=corners, heights=heights, radii=np.zeros(len(cable)), upright=~taut
+        )
 
     @cached_property
     def taut(self) -> SampledBodies:
@@ -133,12 +141,18 @@ class SampledPath:
         objects = motion.requirements.objects
         indices = [k for k, name in enumerate(objects) if name in self.owned]
         slabs_of_bodies = [body.slabs for name, body in objects.items() if name in self.owned]
-        bases = np.repeat(motion.poses.at(self.times)[:, indices, None, :3], 2, axis=2)
+        places = motion.poses.at(self.times)[:, indices, :3]
+        axes = np.repeat(places[:, :, None], 2, axis=2)  # both ends are at the base
         lowest = [min(slab.lower for slab in slabs) for slabs in slabs_of_bodies]
         highest = [max(slab.upper for slab in slabs) for slabs in slabs_of_bodies]
         radii = [max(slab.section.circumradius for slab in slabs) for slabs in slabs_of_bodies]
-        heights = bases[..., 2] + np.column_stack([lowest, highest])
-        return SampledBodies(bases, heights, np.array(radii), np.ones(len(self), np.bool_))
+        heights = axes[..., 2] + np.column_stack([lowest, highest])
+        return SampledBodies(
+            corners=axes,
+            heights=heights,
+            radii=np.array(radii),
+            upright=np.ones(len(self), np.bool_),
+        )
 
     def bodies(self, kind: Kind, other: SampledPath) -> SampledBodies:
         """Return the bodies of a kind that keep distances to another team."""
@@ -155,8 +169,12 @@ class SampledPath:
                 is_obstacle = name in obstacles and same_object(body, obstacles[name])
                 is_kind = kind == "objects" or not body.fixed
                 compared.append(is_kind and (is_moved or not is_obstacle))
-        corners, heights, radii, upright = self.objects
-        return SampledBodies(corners[:, compared], heights[:, compared], radii[compared], upright)
+        objects = self.objects
+        return objects._replace(
+            corners=objects.corners[:, compared],
+            heights=objects.heights[:, compared],
+            radii=objects.radii[compared],
+        )
 
     @cached_property
     def boxes(self) -> Boxes:

@@ -17,10 +17,10 @@ from hitchopt.friction.hysteresis import held_vertices
 from hitchopt.friction.shifts import (
     FRICTION_SHIFT,
     REST_SHIFT,
-    between,
     distances_from_ways,
     held,
     sample_times,
+    with_reserve_between_samples,
 )
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.requirements import Requirements
@@ -204,7 +204,9 @@ def test_shifts_take_room_from_walls_and_objects() -> None:
 
 
 def test_a_shift_without_a_balance_is_infinite_and_others_keep_their_reserve() -> None:
-    shifts = between(np.array([[np.inf, np.inf], [1.0, 3.0], [2.0, 2.0]]), (1,))
+    shifts = with_reserve_between_samples(
+        np.array([[np.inf, np.inf], [1.0, 3.0], [2.0, 2.0]]), (1,)
+    )
     np.testing.assert_array_equal(shifts, [[np.inf, np.inf], [1.5, 3.5], [2.0, 2.0]])
 
 

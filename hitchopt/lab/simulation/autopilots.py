@@ -111,12 +111,19 @@ class Autopilots:
         state = bodies if estimator is None else estimator
         phase, self._ticks = self._ticks % TICKS, self._ticks + 1
         if phase in (0, ARRIVAL):
+            is_prediction = phase == 0
             if estimator is not None:
-                estimator.predict() if phase == 0 else estimator.correct()
-            self._set_goals(commands, state, seconds * (ARRIVAL if phase else TICKS - ARRIVAL))
-        attitudes = state.attitudes
-        thrust, answer = self._attitude_loops(attitudes, rates, commands.rates, seconds)
-        moments = self._inertia * answer + cross_product(rates, self._inertia * rates)
+                if is_prediction:
+                    estimator.predict()
+                else:
+                    estimator.correct()
+            periods_since_last_run = TICKS - ARRIVAL if is_prediction else ARRIVAL
+            self._set_goals(commands, state, seconds * periods_since_last_run)
+        thrust, angular_accelerations = self._attitude_loops(
+            state.attitudes, rates, commands.rates, seconds
+        )
+        gyroscopic_moments = cross_product(rates, self._inertia * rates)
+        moments = self._inertia * angular_accelerations + gyroscopic_moments
         goals = 0.25 * thrust[:, None] + moments @ self._mixer
         limit = self._max_thrust
         if np.logical_or.reduce(goals > limit, axis=None):  # attitude first
@@ -156,18 +163,22 @@ class Autopilots:
     def _attitude_loops(
         self, attitudes: Array, rates: Array, desired_rates: Array, seconds: float
     ) -> tuple[Array, Array]:
-        """Return thrusts (2n,) [N] and angular accelerations (2n, 3) of the attitude loops."""
+        """Return thrusts (2n,) [N] and angular accelerations (2n, 3) [1/s²] of the attitude loops.
+
+        They are those that the loops command, about the bodies' axes.
+        """
         error = axial_vector(self._goal.transpose(0, 2, 1) @ attitudes)  # of R_d^T R
         rate_error = rates - desired_rates
         stiffness, damping, lead, integral = self._attitude_gains
         if self._integrates_attitudes:
             self._attitude_integral = self._attitude_integral + seconds * integral * error
-        answer = stiffness * error + damping * rate_error
+        # The accelerations that would increase the errors; the loops command the opposite ones
+        opposed = stiffness * error + damping * rate_error
         if self._integrates_attitudes:
-            answer += self._attitude_integral
+            opposed += self._attitude_integral
         if self._last_error is not None:
-            answer += lead * (rate_error - self._last_error) / seconds
+            opposed += lead * (rate_error - self._last_error) / seconds
         self._last_error = rate_error
         if self._name in ("pid", "px4"):
-            return self._thrust, -answer
-        return np.add.reduce(self._force * attitudes[:, :, 2], axis=1), -answer
+            return self._thrust, -opposed
+        return np.add.reduce(self._force * attitudes[:, :, 2], axis=1), -opposed

@@ -228,21 +228,33 @@ class Fleet:
         Setpoints are those of a sample, or of drones that rest before the flight. Simplified
         controllers pull with ``added`` (drones, 3) [N] in addition.
         """
-        pilots, period = self._pilots, self._period
-        start = self._first / RATE
-        if isinstance(pilots, control.Pilots):
-            pilots.command(setpoints, bodies, period, 0.0 if added is None else added)
-            if time >= start:
-                pilots.integrate(setpoints.positions - bodies.positions, period)
+        if isinstance(self._pilots, control.Pilots):
+            self._command_simplified(self._pilots, time, setpoints, bodies, added)
             return
-        before = self._first - 1
-        sample = max(before, math.floor(RATE * (time - self._command_delay) + ROUNDING))
-        source = (sample, index) if setpoints is self._current[1] else None
+        before_flight = self._first - 1
+        delayed = math.floor(RATE * (time - self._command_delay) + ROUNDING)
+        sample = max(before_flight, delayed)
+        follows_plan = setpoints is self._current[1]  # Else drones rest at offsets that may change
+        source = (sample, index) if follows_plan else None
         if source is None or source != self._source_of_sent:
             self._source_of_sent = source
-            commands = self._hovering() if sample == before else self._commands[sample]
+            commands = self._hovering() if sample == before_flight else self._commands[sample]
             self._sent = self._shifted(commands, setpoints, index)
-        pilots.advance(self._sent, bodies, period)
+        self._pilots.advance(self._sent, bodies, self._period)
+
+    def _command_simplified(
+        self,
+        pilots: control.Pilots,
+        time: float,
+        setpoints: States,
+        bodies: RigidBodies,
+        added: Array | None,
+    ) -> None:
+        """Run simplified controllers for a period; they integrate errors during the flight only."""
+        pilots.command(setpoints, bodies, self._period, 0.0 if added is None else added)
+        start = self._first / RATE
+        if time >= start:
+            pilots.integrate(setpoints.positions - bodies.positions, self._period)
 
     def _shifted(self, commands: Commands, setpoints: States, index: int) -> Commands:
         """Return commands with the differences of setpoints from those of the plan."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -156,9 +156,24 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
     leg. Clasps of an edge that is too short for two loose clasps begin further apart; settling
     brings them closer.
     """
-    lengths = ropes.segment_lengths
-    gap = max(GAP_DIAMETERS * ropes.preset.diameter, GAP_SEGMENTS * float(np.max(lengths)))
+    longest_segment = float(np.max(ropes.segment_lengths))
+    gap = max(GAP_DIAMETERS * ropes.preset.diameter, GAP_SEGMENTS * longest_segment)
     vertices = _spaced(layout, vertices, 2.0 * REACH * gap)
+    corners = _interlaced_corners(layout, drones, vertices, gap)
+    sizes = zip(ropes.segments, ropes.segment_lengths, strict=True)
+    return [
+        _chain(polyline, int(count), float(size))
+        for polyline, (count, size) in zip(corners, sizes, strict=True)
+    ]
+
+
+def _interlaced_corners(
+    layout: Layout, drones: Array, vertices: Array, gap: float
+) -> Iterator[Array]:
+    """Yield the corners (corners, 3) [m] of each cable, from its q-drone to its r-drone.
+
+    Both bends of a clasp are ``gap`` [m] wide. ``drones`` (2n, 3) and ``vertices`` are in metres.
+    """
     q, r = drones[0::2], drones[1::2]
     u = unit(layout.edges(vertices))
     p, after, before = vertices[layout.clasps], layout.ahead, layout.behind
@@ -166,12 +181,15 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
     q_level = unit(q_hat * [1.0, 1.0, 0.0])
     along = 0.5 * gap * unit(q_level + u[after])  # the direction in which cable k's bend opens
     across = 0.5 * gap * unit(q_level - u[after])  # to the side of the legs
-    higher = r_hat[:, 2] > q_hat[:, 2] + SLOPE_TOLERANCE
-    side = np.where(higher, -1.0, 1.0)  # of the leg of cable k-1
-    lift = 0.5 * gap * side[:, None] * UP
+    # The bend of cable k-1 is upright. ``edge_side`` is 1 where its edge is above cable k, and -1
+    # where it is below; its leg is on the other side
+    leg_rises_more = r_hat[:, 2] > q_hat[:, 2] + SLOPE_TOLERANCE
+    edge_side = np.where(leg_rises_more, -1.0, 1.0)
+    to_edge = 0.5 * gap * edge_side[:, None] * UP
     leg_corner = p + REACH * gap * r_hat
-    height = side * (leg_corner - p)[:, 2]
-    leg_corner[:, 2] += side * np.minimum(-0.5 * gap - height, 0.0)  # past the other cable's bend
+    height_to_edge_side = edge_side * (leg_corner - p)[:, 2]
+    # Past the bend of cable k
+    leg_corner[:, 2] += edge_side * np.minimum(-0.5 * gap - height_to_edge_side, 0.0)
     starts, ends = [[point] for point in q], [[point] for point in r]
     for c, (k, j) in enumerate(zip(after, before, strict=True)):
         starts[k] = [
@@ -182,21 +200,24 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
         ]
         ends[j] = [
             p[c] - REACH * gap * u[j],
-            *(p[c] - x * along[c] + y * lift[c] for x, y in BEND),
+            *(p[c] - x * along[c] + y * to_edge[c] for x, y in BEND),
             leg_corner[c],
             r[j] + OVERHANG * r_hat[c],
         ]
-    chains = []
-    for k, (count, size) in enumerate(zip(ropes.segments, lengths, strict=True)):
-        corners = np.array([*starts[k], *ends[k]])  # built outward from the middle
-        middle = len(corners) // 2
-        centre = 0.5 * (corners[middle - 1] + corners[middle])
-        onward, back = (
-            _steps(np.vstack([centre, part]), int(count) // 2, float(size))
-            for part in (corners[middle:], corners[:middle][::-1])
-        )
-        chains.append(np.vstack([back[:0:-1], onward]))
-    return chains
+    for start, end in zip(starts, ends, strict=True):
+        yield np.array([*start, *end])
+
+
+def _chain(corners: Array, count: int, size: float) -> Array:
+    """Return points (count + 1, 3) of ``count`` segments of a ``size`` [m] along a polyline.
+
+    It is built outward from the middle of the corners (corners, 3), with half of them either way.
+    """
+    middle = len(corners) // 2
+    centre = 0.5 * (corners[middle - 1] + corners[middle])
+    onward = _steps(np.vstack([centre, corners[middle:]]), count // 2, size)
+    back = _steps(np.vstack([centre, corners[:middle][::-1]]), count // 2, size)
+    return np.vstack([back[:0:-1], onward])
 
 
 def _spaced(layout: Layout, vertices: Array, shortest: float) -> Array:

@@ -256,7 +256,10 @@ class DetourSearch:
         return np.where(is_off, np.inf, lower), np.where(is_off, -np.inf, upper)
 
     def _within_walls(self, direction: Array) -> tuple[Array, Array]:
-        """Return the smallest and the largest offset (J,) along a direction within the walls."""
+        """Return the smallest and the largest offset (J,) along a direction within the walls.
+
+        The ground counts as a wall, also without an arena.
+        """
         requirements = self.requirements
         first, count = self.layout.points, 2 * self.layout.robots
         drones = self.nodes[:, first : first + count]
@@ -264,20 +267,23 @@ class DetourSearch:
         upper = np.full(3, np.inf)
         if requirements.arena is not None:
             lower, upper = requirements.arena.lower.copy(), requirements.arena.upper.copy()
-        lowest = np.min(drones[[0, -1], :, 2])
-        lower[2] = min(lowest, requirements.floor + requirements.separation.height)
+        # Detours keep an ellipsoid's height above the ground, more than the arena's floor requires.
+        # An end of the path that is lower lowers this bound: near it the path itself stays free
+        lowest_end = np.min(drones[[0, -1], :, 2])
+        lower[2] = min(lowest_end, requirements.floor + requirements.separation.height)
         least = np.full(SAMPLES, -np.inf)
         largest = np.full(SAMPLES, np.inf)
         for axis in np.flatnonzero(np.abs(direction) > EPS):
-            both = np.stack(
+            to_walls = np.stack(
                 [
                     lower[axis] - np.min(drones[..., axis], axis=1),
                     upper[axis] - np.max(drones[..., axis], axis=1),
                 ]
             )
-            both = np.sort(both / direction[axis], axis=0)
-            least = np.maximum(least, both[0])
-            largest = np.minimum(largest, both[1])
+            # A negative direction exchanges the walls
+            offsets_at_walls = np.sort(to_walls / direction[axis], axis=0)
+            least = np.maximum(least, offsets_at_walls[0])
+            largest = np.minimum(largest, offsets_at_walls[1])
         return least, largest
 
     def shortest(self, grid: Array, free: NDArray[np.bool_]) -> Array | None:
