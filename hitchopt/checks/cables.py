@@ -128,9 +128,10 @@ def _length_error(spans: Cables) -> Bound:
     excess = spans.excess
     if spans.source.team.cable_density > 0.0:
         excess = excess + spans.sag
-    stored_legs = spans.read(spans.source.legs.coefficients)[:, :, None]
-    legs = Enclosed(stored_legs) * spans.scale[:, None]
-    errors = (legs - select(spans.parts.norm, [0, 1])).norm_upper
+    plan_legs = spans.read(spans.source.legs.coefficients)[:, :, None]
+    relative_legs = Enclosed(plan_legs) * spans.scale[:, None]
+    chords_of_q_and_r = select(spans.parts.norm, [0, 1])
+    errors = (relative_legs - chords_of_q_and_r).norm_upper
     q_error = Bound(errors.value[:, 0], errors.x[:, 0])
     r_error = Bound(errors.value[:, 1], errors.x[:, 1])
     return largest_of([excess.norm_upper, q_error, r_error])

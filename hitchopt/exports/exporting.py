@@ -441,7 +441,8 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
 
     def candidates() -> Iterator[Sequence[ExportTask]]:
         yield (task,)
-        # Here the whole was refused
+        # Further candidates are requested only after the whole was refused. Formats that round
+        # points have several bounds; slower flights may pass their rounding
         is_rounded = len(kind.bounds) > 1 and not _exceeds_memory(refusals[0])
         for factor in RETRY_STRETCHES if is_rounded else ():
             slowdown = f"exported {factor - 1.0:.0%} slower than planned"

@@ -139,13 +139,17 @@ def _longest_stride(fits: Callable[[int], bool], max_stride: int, guess: int) ->
 
 def best_breaks(curves: PiecewisePolynomial, kind: PieceKind, max_pieces: int) -> Array:
     """Return the breaks of ``max_pieces`` with the smallest error; more if MAX_ERROR needs more."""
-    if len(best := fit_breaks(curves, kind, MIN_ERROR, max_pieces)) - 1 <= max_pieces:
-        return best
+    finest = fit_breaks(curves, kind, MIN_ERROR, max_pieces)
+    if len(finest) - 1 <= max_pieces:
+        return finest
     best = fit_breaks(curves, kind, MAX_ERROR, max_pieces)
+    if len(best) - 1 > max_pieces:
+        return best
     low, high = log(MIN_ERROR), log(MAX_ERROR)
-    for _ in range(BISECTIONS if len(best) - 1 <= max_pieces else 0):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if len(breaks := fit_breaks(curves, kind, exp(middle), max_pieces)) - 1 > max_pieces:
+        breaks = fit_breaks(curves, kind, exp(middle), max_pieces)
+        if len(breaks) - 1 > max_pieces:
             low = middle
         else:
             best, high = breaks, middle

@@ -442,14 +442,16 @@ def _leaving(reaction: Reaction, planned: Motion, reacts: float) -> Motion:
     """
     chain = reaction.chain
     lift = _lift_from(reaction.lift, reacts)
+    # The drones stay on the planned path in plan view, and rise above it by the lift
     end = max(planned.duration, lift.duration)
     lift = _held_until(lift, end)
     path = on_spaced_breaks(padded(planned, 0.0, end).drones, lift.breaks)
     breaks = path.breaks
-    rising, lifted = same_degree(
+    rising, heights = same_degree(
         path.coefficients[:, chain.lost], on_breaks(lift, breaks).coefficients
     )
-    rising[:, :, 2] += lifted
+    rising[:, :, 2] += heights
+    # At rest above all others, they move aside
     above = reaction.drones[chain.lost] + [0.0, 0.0, reaction.rise]
     limits = chain.need.limits.with_reserve
     aside = straight_lines(chain.swarm, limits, above, above + _aside(reaction))

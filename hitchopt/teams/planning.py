@@ -220,15 +220,14 @@ def _merge_waits(motion: Motion) -> Motion:
     """Return the motion with consecutive waiting phases of a step merged."""
     phases = list[Phase]()
     for phase in motion.phases:
-        last = phases[-1] if phases else None
-        if (
-            last
-            and last.name == WAIT
-            and phase.retimed(last.start, phase.end) == last.retimed(last.start, phase.end)
-        ):
-            phases[-1] = last.retimed(last.start, phase.end)
-        else:
-            phases.append(phase)
+        if phases and phases[-1].name == WAIT:
+            start, end = phases[-1].start, phase.end
+            longer_wait = phases[-1].retimed(start, end)
+            differs_in_time_only = phase.retimed(start, end) == longer_wait
+            if differs_in_time_only:
+                phases[-1] = longer_wait
+                continue
+        phases.append(phase)
     return motion.replaced(phases=tuple(phases))
 
 

@@ -24,6 +24,7 @@ BEYOND = 2.0  # factor of the difference to first order
 LEVELS = np.linspace(0.1, 1.0, 10)  # fractions of the errors, one after the other
 ITERATIONS = 30  # of Newton's method, at each level
 SOLVED = 1e-9  # [m] largest last step
+LARGEST_STEP = 0.1  # [m] of a node in a step of Newton's method
 STEP = 1e-30  # step of complex-step derivatives
 
 # Horizontal and vertical gains
@@ -158,7 +159,10 @@ class Rest:
         return by_unknowns.imag.T / STEP, by_errors.imag.T / STEP
 
     def settled(self, errors: Array) -> Array:
-        """Return the unknowns at rest with errors, by Newton's method; nan if it does not end."""
+        """Return the unknowns at rest with errors, by Newton's method; nan if it does not end.
+
+        Errors rise in LEVELS, each of which starts from the rest at the one before.
+        """
         unknowns = np.concatenate([self.planned.ravel(), self.tensions])
         for level in LEVELS:
             for _ in range(ITERATIONS):
@@ -169,8 +173,8 @@ class Rest:
                 except np.linalg.LinAlgError:
                     return np.full(len(unknowns), np.nan)
                 moved = float(np.max(np.abs(step[: self.planned.size])))
-                unknowns = unknowns + step * min(1.0, 0.1 / max(moved, SOLVED))
-                if not moved > SOLVED:
+                unknowns = unknowns + step * min(1.0, LARGEST_STEP / max(moved, SOLVED))
+                if not moved > SOLVED:  # also for nan, with which unknowns are nan
                     break
             else:
                 return np.full(len(unknowns), np.nan)

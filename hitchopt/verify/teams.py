@@ -243,10 +243,10 @@ def from_object(
         corners = [other_spans.local(obstacle.number, x) for x in bodies.corners(spans, i)]
         if bodies.kind in (DRONES, TAUT):
             return slab.gap(*corners, ratio=pair.ratio)
-        if bodies.kind != CLASPING:
+        if bodies.kind == HANGING:  # in the vertical plane through its ends
             start, end = corners[:2]
             return column.gap(start, end, ratio=pair.ratio)
-        *outline, lowest = corners
+        *outline, lowest = corners  # of what contains a cable being clasped
         height = (lowest[2] - obstacle.top) * (1.0 / pair.ratio)
         return maximum(column.gap(*outline, outline[0], ratio=pair.ratio), height)
 

@@ -110,6 +110,12 @@ class LiveScene:
             label.visible = visible["names"]
             if label.visible:
                 label.position = tuple(place)
+        self._draw_arrows()
+        self._draw_marks()
+
+    def _draw_arrows(self) -> None:
+        """Update the arrows of cable forces and thrusts; thrusts are along the bodies' z axes."""
+        moment, visible = self._moment, self.visible
         w, x, y, z = np.moveaxis(moment.quaternions, -1, 0)
         up = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
         vectors = {"forces": moment.cable_forces, "thrusts": moment.thrusts[:, None] * up}
@@ -118,6 +124,13 @@ class LiveScene:
             if visible[name]:
                 ends = [moment.drones, moment.drones + ARROW_SCALE * vector]
                 self._arrows[name].points = _float32(np.stack(ends, axis=1))
+
+    def _draw_marks(self) -> None:
+        """Update the balls at highlighted drones and vertices.
+
+        A vertex is where the first bend of its clasp's cable is.
+        """
+        moment = self._moment
         clasps = self.scene.appearance.clasps
         cables = [clasp.cable for clasp in clasps if clasp.vertex in self._highlight.vertices]
         vertices = moment.cables[cables, CLASPS[0]]

@@ -152,15 +152,19 @@ def pack_samples(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str
     entries, planes = [], []
     for name, array in arrays.items():
         points = np.reshape(array, (-1, array.shape[-1]))
-        points = points if len(points) else np.zeros((1, array.shape[-1]))
+        if not len(points):  # of no items, such as objects
+            points = np.zeros((1, array.shape[-1]))
         lower, extent = np.min(points, axis=0), np.ptp(points, axis=0)
         step = np.where(extent > 0.0, extent / LEVELS, 1.0)
-        columns = np.rint((array - lower) / step).astype(np.int64).reshape(len(array), -1)
-        seconds = np.diff(columns, n=2, axis=0, prepend=np.zeros((2, columns.shape[1]), np.int64))
-        words = seconds.T.astype(np.uint16)  # wraps around like the page's sums
-        planes += [part.astype(np.uint8).tobytes() for part in (words & 255, words >> 8)]
+        levels = np.rint((array - lower) / step).astype(np.int64).reshape(len(array), -1)
+        columns = levels.shape[1]
+        at_rest = np.zeros((2, columns), np.int64)  # before the first sample
+        second_differences = np.diff(levels, n=2, axis=0, prepend=at_rest)
+        words = second_differences.T.astype(np.uint16)  # wraps around like the page's sums
+        low_bytes, high_bytes = words & 255, words >> 8
+        planes += [part.astype(np.uint8).tobytes() for part in (low_bytes, high_bytes)]
         ranges = {"lower": lower.tolist(), "step": step.tolist()}
-        entries.append({"name": name, "columns": columns.shape[1], **ranges})
+        entries.append({"name": name, "columns": columns, **ranges})
     return entries, base64.b64encode(zlib.compress(b"".join(planes), 9)).decode("ascii")
 
 

@@ -63,7 +63,8 @@ def _of_plan(task: Task, settings: Settings) -> Settings:
     need no offsets to hold the tension.
     """
     names = named_controllers(task)
-    controller = (next(iter(names)) if len(names) == 1 else None) or IDEAL
+    common_name = next(iter(names)) if len(names) == 1 else None
+    controller = common_name or IDEAL  # Drones name several, or none
     if controller == IDEAL:
         _require_controller(settings, names)
         return replace(settings, controller=controller)

@@ -7,9 +7,9 @@ vertex is pulled on a copy of the flight that stops there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from hitchopt.lab.simulation.judgement import (
 )
 from hitchopt.lab.simulation.planned_rests import REST_TIME, PlannedRest, pull_tests, rests_of
 from hitchopt.lab.simulation.record import SimulatedFlight
+from hitchopt.lab.simulation.task import Task, TeamTask
 from hitchopt.values import Array
 
 AFTER = "rest"  # Name of the rest after the plan
@@ -94,47 +95,87 @@ def rests(flight: SimulatedFlight, outcome: Outcome) -> tuple[Rest, ...]:
 
     Nothing rests after the loss of a drone.
     """
-    task, found = flight.task, list[Rest]()
-    end = np.inf if flight.settings.lost is None else flight.settings.lost.time
-    after = {clasp.name: clasp for clasp in outcome.clasps}
-    valid = {
-        time: vertices_of(test) for time, test in flight.pull_tests.items() if test.error is None
-    }
-    valid[task.duration] = after
-    tests = {end: valid.get(test.time, {}) for end, test in pull_tests(task).items()}
+    time_of_loss = np.inf if flight.settings.lost is None else flight.settings.lost.time
+    t = flight.record.t
+    pulled = _pulled_vertices(flight, outcome)
+    judged = list[Rest]()
+    for team in _teams(flight.task):
+        for rest in _planned_rests(flight, team.part):
+            rows = np.flatnonzero((t > rest.start + ROUNDING) & (t <= rest.end + ROUNDING))
+            is_flown = t[-1] >= rest.end - ROUNDING
+            if rows.size and is_flown and rest.end <= time_of_loss:
+                judged.append(_judged(flight, team, rest, rows, pulled.get(rest.end, {})))
+    return tuple(sorted(judged, key=lambda rest: rest.end))
+
+
+class _Team(NamedTuple):
+    """A team, and its part of the clasps and drones of a flight."""
+
+    part: TeamTask
+    clasps: slice
+    drones: slice
+
+
+def _teams(task: Task) -> Iterator[_Team]:
+    """Yield the teams of a task."""
     clasps = drones = slice(0, 0)
     for part in task.teams:
         clasps = slice(clasps.stop, clasps.stop + len(part.team.layout.clasps))
         drones = slice(drones.stop, drones.stop + part.team.drones)
-        planned = [*rests_of(part)]
-        if part.states.formed[-1] and np.isfinite(flight.rested):
-            planned.append(PlannedRest(AFTER, flight.rested - REST_TIME, flight.rested))
-            tests[flight.rested] = after
-        for rest in planned:
-            rows = np.flatnonzero(
-                (flight.record.t > rest.start + ROUNDING) & (flight.record.t <= rest.end + ROUNDING)
-            )
-            is_flown = flight.record.t[-1] >= rest.end - ROUNDING
-            if rows.size and is_flown and rest.end <= end:
-                vertices = _vertices(flight, rows, rest.end, clasps, tests.get(rest.end, {}))
-                exist = part.clasps_at(part.index(rest.end))
-                closed = [x for x, exists in zip(vertices.items(), exist, strict=True) if exists]
-                errors, allowed = _drone_errors(flight, rows, drones), allowed_errors(flight)
-                level = float(np.max(np.hypot(errors[..., 0], errors[..., 1])))
-                upright = float(np.max(np.abs(errors[..., 2])))
-                within = allowed.contains(errors) if allowed.level else None
-                objects = object_states(flight, rest.end, rest.end - rest.start)
-                found.append(
-                    Rest(
-                        *(rest.phase, rest.start, rest.end),
-                        vertices=dict(closed),
-                        drones=(level, upright),
-                        allowed=allowed,
-                        within=within,
-                        objects=objects,
-                    )
-                )
-    return tuple(sorted(found, key=lambda rest: rest.end))
+        yield _Team(part, clasps, drones)
+
+
+def _planned_rests(flight: SimulatedFlight, part: TeamTask) -> Iterator[PlannedRest]:
+    """Yield the rests of a team in the plan, and the one after it, if the hitch is tied then."""
+    yield from rests_of(part)
+    if part.states.formed[-1] and np.isfinite(flight.rested):
+        yield PlannedRest(AFTER, flight.rested - REST_TIME, flight.rested)
+
+
+def _pulled_vertices(
+    flight: SimulatedFlight, outcome: Outcome
+) -> dict[float, dict[str, ClaspState]]:
+    """Return the vertices in valid pull tests by name, by the ends of rests that these judge [s].
+
+    The test after the plan judges the rest there, and rests since which no drone moves.
+    """
+    after_plan = {clasp.name: clasp for clasp in outcome.clasps}
+    by_time = {
+        time: vertices_of(test) for time, test in flight.pull_tests.items() if test.error is None
+    }
+    by_time[flight.task.duration] = after_plan
+    by_end = {end: by_time.get(test.time, {}) for end, test in pull_tests(flight.task).items()}
+    by_end[flight.rested] = after_plan
+    return by_end
+
+
+def _judged(
+    flight: SimulatedFlight,
+    team: _Team,
+    rest: PlannedRest,
+    rows: NDArray[np.intp],
+    pulled: Mapping[str, ClaspState],
+) -> Rest:
+    """Return the verdict on a rest of a team at rows of the record; ``pulled`` as of ``_vertices``.
+
+    Open vertices are left out.
+    """
+    vertices = _vertices(flight, rows, rest.end, team.clasps, pulled)
+    exist = team.part.clasps_at(team.part.index(rest.end))
+    closed = [x for x, exists in zip(vertices.items(), exist, strict=True) if exists]
+    errors, allowed = _drone_errors(flight, rows, team.drones), allowed_errors(flight)
+    level = float(np.max(np.hypot(errors[..., 0], errors[..., 1])))
+    upright = float(np.max(np.abs(errors[..., 2])))
+    return Rest(
+        phase=rest.phase,
+        start=rest.start,
+        end=rest.end,
+        vertices=dict(closed),
+        drones=(level, upright),
+        allowed=allowed,
+        within=allowed.contains(errors) if allowed.level else None,
+        objects=object_states(flight, rest.end, rest.end - rest.start),
+    )
 
 
 def _vertices(

@@ -531,17 +531,24 @@ class _Balance:
         The scatter (windows, nodes) is in [m] for drones and in [N] for clasps.
         """
         energy = self.energy
-        many = self.energy.drones
-        used = own[..., 1:]
-        on_ends = energy.forces(self.x[:, energy.nodes], own[..., 0], used).on_ends
+        many = energy.drones
+        compliance = np.exp(common[self.kinds])  # [m/N]
+        wind = common[-3:-1]
+        friction = common[-1]
+        tensions = own[..., 0]
+        used_friction = own[..., 1:]
+        on_ends = energy.forces(self.x[:, energy.nodes], tensions, used_friction).on_ends
         pulls = energy.pulls(on_ends)
-        pulls[:, :many, :2] -= common[-3:-1]
-        drones = np.exp(common[self.kinds])[:, None] * self.relative_compliance * pulls[:, :many]
-        drones = (drones + (self.x - energy.start)[:, :many]) / scales[:, :many, None]
-        ratios = used * self.bends - common[-1] * self.pulls
-        sliding = self.pulls != 0.0
-        ratios = ratios / np.where(sliding, SLIDING_SCATTER, STICKING_SCATTER * self.bends)
-        parts = drones, pulls[:, many:] / scales[:, many:, None], ratios
+        pulls[:, :many, :2] -= wind
+        # Pulls displace drones from their setpoints, against the loops' stiffness
+        displacements = compliance[:, None] * self.relative_compliance * pulls[:, :many]
+        setpoint_offsets = (self.x - energy.start)[:, :many]
+        drones = (displacements + setpoint_offsets) / scales[:, :many, None]
+        clasps = pulls[:, many:] / scales[:, many:, None]
+        log_ratios = used_friction * self.bends - friction * self.pulls
+        is_sliding = self.pulls != 0.0
+        scatter = np.where(is_sliding, SLIDING_SCATTER, STICKING_SCATTER * self.bends)
+        parts = drones, clasps, log_ratios / scatter
         return np.concatenate([part.reshape(len(self.x), -1) for part in parts], axis=1)
 
     def fitted(

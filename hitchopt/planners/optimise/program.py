@@ -493,21 +493,27 @@ MIN_OFFSET = 1e-6  # [m] Smallest offset of two bodies whose direction is their 
 def near_pairs(
     layout: Layout, nodes: Array, requirements: Requirements, margins: Array, reach: Array
 ) -> NearPairs:
-    """Return the pairs of nodes (K, nodes, 3) [m] with distances up to margins and reach (K,) [m].
+    """Return the pairs of bodies that are closer than their enforced distance plus a reach.
 
-    Nodes are those of ``Layout.routes``.
+    Parameters
+    ----------
+    nodes: (K, nodes, 3) [m], those of ``Layout.routes`` in K frames.
+    margins: (K,), enforced distances over the limits.
+    reach: (K,) [m], distance beyond the enforced one.
     """
     bodies = TautBodies.of(layout)
     limits = limits_of(requirements.separation)
     scales = scales_of(requirements)
-    corners = nodes[:, bodies.nodes, :2]  # distances in plan view are lower bounds
+    # A coarse selection first: distances in plan view are lower bounds
+    corners = nodes[:, bodies.nodes, :2]
     cutoff = float(np.max(limits * np.max(margins)) + np.max(reach))
     frame, i, j, kind = bodies.near(corners.min(axis=2), corners.max(axis=2), limits, cutoff)
     scale = scales[kind][:, None]
     first = nodes[frame[:, None], bodies.nodes[i]] * scale
     second = nodes[frame[:, None], bodies.nodes[j]] * scale
     offset = shortest_offset(differences(first, second))
-    normal = unit(offset, unit((first - second).mean(axis=1)), MIN_OFFSET)
+    from_middle_to_middle = unit((first - second).mean(axis=1))  # the normal of touching bodies
+    normal = unit(offset, from_middle_to_middle, MIN_OFFSET)
     enforced = limits[kind] * margins[frame]
     near = length(offset) < enforced + reach[frame]
     return NearPairs(

@@ -471,7 +471,8 @@ def _feasible_near(path: KnotPath, search: SearchLimits) -> tuple[KnotPath, bool
             return iterate, True
         last_path = iterate
         margin = _worst_margin(iterate, search.requirements)
-        if margin < min(TUNING.hopeful_margin, last_margin + TUNING.min_margin_gain):
+        sufficient = min(TUNING.hopeful_margin, last_margin + TUNING.min_margin_gain)
+        if margin < sufficient:  # low, and hardly larger than the last one
             break
         last_margin = margin
     return last_path, False
