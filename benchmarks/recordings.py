@@ -24,6 +24,7 @@ from hitchopt.lab.flights.recordings import RecordedFlight, Track, plan_at
 from hitchopt.lab.simulation.task import TeamTask
 
 RATE, EXAMPLE_RATE = 120.0, 25.0  # Of recordings, and of the one that is shipped [Hz]
+EXAMPLE_DENSITY = 0.01  # Density of the ropes of that recording [kg/m]
 SPACING = 0.15  # Distance between the markers of an edge [m]
 
 LIMITATIONS = (
@@ -201,12 +202,10 @@ ROWS = {
 }
 
 
-def fly(plan: ho.Plan, rate: float, seed: int) -> tuple[Array, Array, Array, Array]:
+def fly(plan: ho.Plan, rate: float, seed: int, **settings: Any) -> tuple[Array, ...]:
     """Return times, drones, markers and true crossings of a perturbed flight of a plan."""
-    flown, task = (
-        ho.simulate(plan, perturbed=True, seed=seed, pull_test=False),
-        TeamTask.of(plan.motion),
-    )
+    flown = ho.simulate(plan, perturbed=True, seed=seed, pull_test=False, **settings)
+    task = TeamTask.of(plan.motion)
     record = flown.flight.record
     t = np.arange(0.0, min(task.duration, record.t[-1]), 1.0 / rate)
     drones = CubicSpline(record.t, record.drones)(t)
@@ -215,7 +214,8 @@ def fly(plan: ho.Plan, rate: float, seed: int) -> tuple[Array, Array, Array, Arr
 
 def write_example(seed: int) -> None:
     """Write the example recording: rows t, name, x, y, z, markers without names."""
-    t, drones, markers, _ = fly(ho.solve(PROBLEMS / "friction.yaml"), EXAMPLE_RATE, seed)
+    plan = ho.solve(PROBLEMS / "friction.yaml")
+    t, drones, markers, _ = fly(plan, EXAMPLE_RATE, seed, density=EXAMPLE_DENSITY)
     flight = Camera(noise=5e-4, lost=0.1).recorded(t, drones, markers, seed)
     rows = [
         (t_, name, *place)

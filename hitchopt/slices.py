@@ -45,7 +45,6 @@ SLICES = (
         steps={"steps": ("Settle",)},
         checks=("shifts",),
         functions={
-            "finish": "compensation:compensated",
             "after_step": "settling:with_settling",
             "notes": "shifts:rest_notes",
         },

@@ -39,7 +39,6 @@ from hitchopt.objects.placing import CONTACT_GAP, stacked_on
 from hitchopt.planners.along import transport_plan
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.ends import RolledLegs, end_of_morph
-from hitchopt.planners.finishing import finished
 from hitchopt.planners.routes import morph_plan, plan_to_hitch
 from hitchopt.planners.task import (
     StepPlan,
@@ -210,8 +209,7 @@ def _descend(polygon: ConvexPolygon, altitude: float, task: StepTask) -> StepPla
     """Return the plan of the change to a polygon at another altitude [m]."""
     level = end_of_morph(task.hitch, polygon, None, task.requirements).hitch
     end = with_fields(level, altitude=altitude)
-    plan = plan_to_hitch(task, end, Phase("morph", task.index, 0.0, 0.0))
-    return finished(plan, timed=False).plan
+    return plan_to_hitch(task, end, Phase("morph", task.index, 0.0, 0.0))
 
 
 def hold_judge(task: StepTask, tension: Array) -> HoldJudge:

@@ -36,7 +36,6 @@ from hitchopt.motion.motion import Motion, Phase, concatenated
 from hitchopt.planners.along import action_plan, vertical_motion
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.ends import RolledLegs, SlackSplit, end_of_action, split_hitch
-from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.actions import adjust
 from hitchopt.planners.rests import check_at_rest, check_hover, rest_plan
 from hitchopt.planners.routes import RouteSearch, plan_to_hitch
@@ -270,10 +269,9 @@ def require_untied(plan: StepPlan, senses: Array) -> StepPlan:
 
 
 def reshaped(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
-    """Return the plan of a morph with friction feed-forward, for a share of the task's effort."""
+    """Return the plan of a morph, for a share of the task's effort."""
     effort = Effort(MORPH_EFFORT_PER_ROBOT * task.before.team.robots, whole=task.effort)
-    plan = plan_to_hitch(replace(task, effort=effort), end, phase)
-    return finished(plan, timed=False).plan
+    return plan_to_hitch(replace(task, effort=effort), end, phase)
 
 
 MORPH_EFFORT_PER_ROBOT = 4e3
@@ -393,4 +391,4 @@ def adjusting_motions(task: StepTask, q_legs: Array) -> list[Motion]:
     phase = Phase("adjust", task.index, 0.0, 0.0)
     own = partial(action_plan, direct, action, end, phase, None, "legs are to change")
     plan = RouteSearch(direct, end, phase, own).plan()
-    return [finished(plan, timed=False).plan.motion]
+    return [plan.motion]

@@ -3,7 +3,7 @@
 Where cables slid, friction holds a hitch within a band about its goal, on the side from which it
 came. Vertices that alternate about their goals, each time a little less far, end in the middle of
 the band, as in demagnetization. With smaller friction the band is narrower, and what remains is as
-small; without friction vertices follow the plan. Over-travels are plain morphs: no leg leans.
+small; without friction vertices follow the plan. Over-travels are plain morphs.
 
 ``friction.hysteresis`` follows the vertices as the hitch goes beyond its goal and back, with
 the largest friction of the range, in the direction opposite to that in which it left them. So the
@@ -158,10 +158,7 @@ class Settling:
 
     @cached_property
     def _history(self) -> dict[str, Array]:
-        """The hitch before its cables slid and at rest, as ``planned_rest``.
-
-        Legs that leaned against the friction are not counted, since it may have been smaller.
-        """
+        """The hitch before its cables slid and at rest, as ``planned_rest``."""
         if self.start is None:
             return self.at_rest
         return _rests([self.start, self.task.hitch], self.task.requirements)

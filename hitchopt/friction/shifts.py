@@ -1,15 +1,14 @@
 """Checks ``friction_shift`` and ``rest_shift``: where other friction than planned leaves vertices.
 
-``team.cable_friction`` is a range. Legs lean against the largest friction, and vertices over-travel
-to where it stops them; with less of it they are ahead of their plan, or go farther beyond it.
-``friction.hysteresis`` follows them, at samples, for several frictions of the range:
+``team.cable_friction`` is a range. Vertices over-travel to where its largest friction stops them;
+with less of it they go farther beyond. ``friction.hysteresis`` follows them, at samples, for
+several frictions of the range:
 
 - ``friction_shift`` is how far they leave their ways in a phase in which cables slide. On these
   ways, distances are those of the plan; all points of cables leave those of their plan by no more.
   What stands still allows for over-travels, after which vertices are where they were: their limit
   is the distance that vertices keep from walls and floor, and cables from objects beyond
-  ``separation.object``. Where legs lean the limit is ``limits.tracking``, for which distances
-  within the team allow. Other phases have none: in them, friction holds vertices back.
+  ``separation.object``. Other phases have none: in them, friction holds vertices back.
 - ``rest_shift`` is how far vertices are from the plan at rests of any duration, of which the end of
   a plan is one. It depends on their turning points alone, not on speeds. ``limits.rest_shift`` and
   ``vertex_error`` limit it.
@@ -35,7 +34,6 @@ from hitchopt.checks.clearance import OBJECT_CLEARANCE
 from hitchopt.checks.distances import Flags
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.checks.spans import phase_parts
-from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.friction.hysteresis import held_vertices
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch.requirements import Arena, Requirements
@@ -59,7 +57,6 @@ it. Vertices of simulated triangles rest within 2.4 cm."""
 
 SAMPLE_WAY = 0.1  # [m] Largest way between samples
 SAMPLES = 2  # Least number of samples from one rest of vertices to the next
-LEANING_SAMPLES = 8  # The same where legs lean against friction
 MAX_SAMPLES = 24  # Largest number of samples from one rest of vertices to the next
 WAY_SAMPLES = 200  # Number of samples of the ways of a phase
 
@@ -121,7 +118,7 @@ def _held_on(course: Course) -> Array:
 def sample_times(motion: Motion, first: int, last: int, ends: Sequence[float] = ()) -> Array:
     """Return times (S,) [s] since the start of a motion, on the pieces from first to last.
 
-    They include all times at which vertices rest, and more where these move far or legs lean.
+    They include all times at which vertices rest, and more where these move far.
     ``ends`` are further breaks that they include.
     """
     breaks = motion.drones.breaks[first : last + 1]
@@ -136,9 +133,7 @@ def sample_times(motion: Motion, first: int, last: int, ends: Sequence[float] = 
         if way <= AT_REST:
             times.append(t[-1:])
             continue
-        pulls = motion.pulls.at(t) - np.repeat(motion.tensions.at(t), 2, axis=-1)
-        least = LEANING_SAMPLES if np.max(np.abs(pulls)) > AT_REST else SAMPLES
-        count = min(max(least, math.ceil(way / SAMPLE_WAY)), MAX_SAMPLES)
+        count = min(max(SAMPLES, math.ceil(way / SAMPLE_WAY)), MAX_SAMPLES)
         times.append(np.linspace(start, end, count + 1)[1:])
     return np.asarray(np.concatenate(times) - motion.drones.breaks[0])
 
@@ -228,12 +223,10 @@ def _shifts(motion: Motion) -> Iterator[WorstCase]:
 def _room(motion: Motion) -> tuple[float, str]:
     """Return the largest shift [m] that a phase allows for, and the check that limits it."""
     requirements = motion.requirements
-    error = requirements.limits.tube.level or requirements.position_error
-    leans = bool(error) and motion.leg_tensions_differ
-    rooms = [(error, TRACKING_RADIUS.name) if leans else (math.inf, "")]
     ends = motion.vertices.coefficients[[0, -1], ..., [0, -1]]
     if np.max(length(ends[1] - ends[0])) > MAX_RETURN:
-        return min(rooms)
+        return math.inf, ""
+    rooms = [(math.inf, "")]
     if requirements.arena is not None:
         rooms.append((_wall_distance(motion, requirements.arena), ARENA.name))
     for result in OBJECT_CLEARANCE.span_results(motion):
@@ -296,8 +289,7 @@ def _rests(motion: Motion) -> Flags:
 
 def _limit(requirements: Requirements) -> float | None:
     """Return infinity if phases may limit shifts, else None."""
-    error = requirements.limits.tube.level or requirements.position_error
-    is_limited = error or requirements.arena is not None or requirements.objects
+    is_limited = requirements.arena is not None or requirements.objects
     return math.inf if is_limited else None
 
 
@@ -307,18 +299,18 @@ FRICTION_SHIFT = ReportRule(
     "max",
     _largest_shift,
     limit=_limit,
-    remedy="state a larger least friction (cable_friction: [least, largest]), move more slowly, or "
-    "farther from objects and walls",
+    remedy="state a larger least friction (cable_friction: [least, largest]), or move farther from "
+    "objects and walls",
     free_remedy="",
     assumes_gamma=False,
     applies=_has_friction,
     group="distances",
-    key="limits.tracking",
+    key="arena",
     method=SAMPLED,
     proves="the largest distance [m] from their ways at which vertices are with any friction of "
     "its range where cables slide, for which objects and walls leave room at over-travels",
-    unproven="times and frictions between samples, swings, held objects; distances to other teams, "
-    "and within a team where no leg leans",
+    unproven="times and frictions between samples, swings, held objects; distances to drones and "
+    "to other teams",
 )
 
 REST_SHIFT = ReportRule(

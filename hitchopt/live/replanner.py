@@ -332,7 +332,7 @@ def _departures(pasts: Sequence[Motion], limits: Limits) -> Iterator[_Departure 
         errors = tensions - past.team.tension, model - stop.state.drones[..., 0]
         feasible = np.flatnonzero(share <= BRAKE_SHARE) if stop.state.moves else [0]
         if any(np.abs(error).max() > STATE_TOLERANCE for error in errors):
-            reason = "legs lean, are rolled, or do not have the team's tensions"
+            reason = "legs are rolled, or do not have the team's tensions"
             yield f"at t = {past.duration:.4g} s {reason}"
         elif not len(feasible):
             yield f"from t = {past.duration:.4g} s: no brake keeps all limits"

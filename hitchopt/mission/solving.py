@@ -32,11 +32,10 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.candidates import Effort, explained_once
 from hitchopt.planners.ends import split_hitch
-from hitchopt.planners.finishing import after_step
 from hitchopt.planners.path import Path
 from hitchopt.planners.rests import check_at_rest, check_start
 from hitchopt.planners.task import RestState, StepPlan, StepTask
-from hitchopt.slices import provided
+from hitchopt.slices import hooks, provided
 from hitchopt.steps.blended import plan_blended
 from hitchopt.steps.hitch_step import NonstopStep
 from hitchopt.steps.step import Step
@@ -261,7 +260,8 @@ def _new_plan(group: tuple[Step, ...], task: StepTask, report: Progress) -> Step
             plan = plan_blended(nonstop_steps, task)
         # Cables slid in the last step that has the key, if a transport follows
         settling = [step.settling for step in group if "settle" in vars(step)]
-        plan = after_step(plan, task, settling[-1] if settling else False)
+        for append in hooks("after_step"):
+            plan = append(plan, task, settling[-1] if settling else False)
     report(f"certifying step {task.index} ({group[0].name})")
     _ = plan.certificate  # stored with the plan
     return plan

@@ -7,7 +7,5 @@ a search is a function, ``straight_path``; ``motion_along`` times every path.
 Packages plan geometry and timing; the modules beside them decide what a step tries. A step gives
 them a ``StepTask`` and takes a ``StepPlan`` (``task``): at rest (``rests``), to the hitch at its
 end (``ends``) ``along`` a given path or the first certified one of ``routes``, which may be an
-``optimised_route``, with ``compensation`` of friction; ``blending`` steps, ``tying`` a hitch,
-``enclosing`` and taking objects by ``grasps``, or in
-``swarms``.
+``optimised_route``; ``blending`` steps.
 """

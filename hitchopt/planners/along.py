@@ -18,7 +18,6 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.ends import end_of_transport
-from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.actions import Action, ActionMorph, FlownAction
 from hitchopt.planners.morph.detours import Translatable, detours
 from hitchopt.planners.morph.legs import largest_roll
@@ -168,8 +167,7 @@ def plan_like(
 
 def transport_plan(task: StepTask, to: Array) -> StepPlan:
     """Return the plan of the step ``transport`` to a goal (3,) [m], with its defaults."""
-    plan = rigid_plan(task, to, 0.0, Phase("transport", task.index, 0.0, 0.0))
-    return finished(plan, timed=False).plan
+    return rigid_plan(task, to, 0.0, Phase("transport", task.index, 0.0, 0.0))
 
 
 MAX_ROLLING = 4  # Maximum number of paths with legs that roll that are certified for one flight

@@ -15,7 +15,6 @@ from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Phase
 from hitchopt.planners.along import past_obstacles
 from hitchopt.planners.candidates import Candidate, first_certified
-from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.legs import largest_roll, rolling_paths
 from hitchopt.planners.morph.morph import BlendedMorph, check_distances
 from hitchopt.planners.path import Path
@@ -113,8 +112,7 @@ class BlendedSteps:
             path, task.requirements, morph.ends, durations, self._check_duration
         )
         phased = motion.replaced(phases=self._phases(times.tolist()))
-        plan = task.plan_ending(phased, morph.hitches[-1])
-        return finished(plan, timed=False).plan
+        return task.plan_ending(phased, morph.hitches[-1])
 
     def _phases(self, times: Sequence[float]) -> tuple[Phase, ...]:
         """Return the phases of the steps, which begin and end at times (steps + 1,) [s]."""

@@ -14,7 +14,6 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.along import past_obstacles, plan_along
 from hitchopt.planners.candidates import Effort, if_feasible
-from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.morph import load_violation, shape_violation
 from hitchopt.planners.path import Path
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
@@ -141,28 +140,18 @@ def refined_plan(
     """Return the plan with its route and clock refined together, and what it gained.
 
     It is the plan itself if none is shorter, with a cost none better.
-    With friction at the clasps, plans are compared with legs that lean against it.
     """
     from hitchopt.planners.optimise.refinement import TUNING, flight_cost, refined
 
     path = plan.path
     if path is None:
         return plan, ""
-    has_friction = cost is None and task.hitch.team.friction > 0.0
-    leaning = finished(plan, timed=False) if has_friction else None
 
     def certified(route: Path, motion: Motion) -> StepPlan | None:
         """Return the certified plan of a shorter motion along another path."""
         phases = (phase.retimed(0.0, motion.duration),)
         shorter = replace(plan, motion=motion.replaced(phases=phases), path=route)
-        if not shorter.certificate.certified:
-            return None
-        if leaning is not None:
-            also_leaning = finished(shorter, timed=False)
-            is_longer = also_leaning.plan.motion.duration >= leaning.plan.motion.duration
-            if is_longer or also_leaning.share < leaning.share:
-                return None
-        return shorter
+        return shorter if shorter.certificate.certified else None
 
     effort = Effort(TUNING.max_effort, whole=task.effort)
     better = refined(path, plan.motion, phase.tension, certified, effort, cost=cost)

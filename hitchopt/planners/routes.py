@@ -16,7 +16,6 @@ from hitchopt.motion.motion import Phase
 from hitchopt.planners.along import past_obstacles, plan_along, straight_plan
 from hitchopt.planners.candidates import Candidate, first_certified, if_feasible
 from hitchopt.planners.ends import SlackSplit, end_of_morph
-from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.optimised_route import OptimisedRoute
 from hitchopt.planners.rests import check_at_rest
@@ -179,5 +178,4 @@ def morph_plan(task: StepTask, polygon: Outline, legs: SlackSplit | None = None)
         return RouteSearch(task, end, phase, straight, replaces_slow=True).plan()
 
     candidates = leg_candidates(task, phase, legs, plan_with)
-    plan = first_certified(candidates, task.effort, task.progress)
-    return finished(plan, timed=False).plan
+    return first_certified(candidates, task.effort, task.progress)

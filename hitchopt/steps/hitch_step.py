@@ -12,7 +12,6 @@ from hitchopt.hitch import Hitch
 from hitchopt.planners.along import action_plan, rolling_action_plan
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.ends import End, end_of_action
-from hitchopt.planners.finishing import finished
 from hitchopt.planners.morph import actions
 from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.rests import check_at_rest
@@ -25,15 +24,6 @@ from hitchopt.values.fields import with_fields
 
 class HitchStep(Step):
     """A step that begins and ends with a hitch."""
-
-    def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of the step as slices finish it."""
-        plan = self.plan_unfinished(task)
-        return finished(plan, timed=self.prescribed_duration is not None).plan
-
-    @abstractmethod
-    def plan_unfinished(self, task: StepTask) -> StepPlan:
-        """Return the plan before slices finish it."""
 
     def check_end(self, end: Hitch, task: StepTask) -> None:
         """Raise InfeasibleError if the hitch after the step breaks a limit at rest."""
@@ -63,7 +53,7 @@ class ShapeStep(NonstopStep):
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan along the direct route, with the step's own leg lengths."""
 
-    def plan_unfinished(self, task: StepTask) -> StepPlan:
+    def plan(self, task: StepTask) -> StepPlan:
         """Return the first certified plan of those that differ in the legs at the end."""
         return first_certified(self.candidates(task), task.effort, task.progress)
 

@@ -84,12 +84,8 @@ class Hold(HitchStep):
             plan: StepPlan | None = rest(self, task, self.seconds)
             if plan is not None:
                 return plan
-        if task.before.hitch is not None:
-            return super().plan(task)
-        return StepPlan(hover_motion(task, self.seconds), task.before)
-
-    def plan_unfinished(self, task: StepTask) -> StepPlan:
-        """Return the plan of a hitch at rest."""
+        if task.before.hitch is None:
+            return StepPlan(hover_motion(task, self.seconds), task.before)
         motion = rest_motion(task.hitch, task.requirements, self.seconds, self.phase(task))
         return task.plan_ending(motion, task.hitch)
 
@@ -590,7 +586,7 @@ class Transport(NonstopStep):
         ]
         return [step.end(task).hitch for step in (*on_way, self)]
 
-    def plan_unfinished(self, task: StepTask) -> StepPlan:
+    def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
         return rigid_plan(task, np.asarray(self.to), self.yaw, self.phase(task), self.duration)
 

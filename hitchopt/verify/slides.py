@@ -16,8 +16,7 @@ from .statics import AT_REST, STEP, TAUT, Rest
 
 SHARES = np.linspace(0.0, 1.0, 9)  # of the range of friction
 SLIDE = 1e-3  # [m] least change of leg lengths in a phase with slides
-PLAIN = 1e-6  # [N] of pulls that equal those of edges
-BETWEEN, LEANING = 3, 12  # samples from one rest of vertices to the next
+BETWEEN = 3  # samples from one rest of vertices to the next
 FARTHEST = 0.15  # [m] of vertices or drones between samples
 MORE = 0.25  # of differences between samples: twice that of a parabola
 ITERATIONS = 20  # of Newton's method
@@ -148,14 +147,12 @@ def samples_of(p: Plan, pieces: Items, ends: Sequence[int] = ()) -> Items:
     c = p.points.c[0]
     speed = np.max(norm(p.points.c[1][pieces][:, p.V, :, -1]), axis=1)
     rests = np.flatnonzero((speed <= AT_REST) | np.isin(pieces, ends))
-    leans = np.abs(p.pulls.c[0] - np.repeat(p.tensions.c[0], 2, axis=1))[pieces, :, 0]
     chosen = [-1]
     for last in sorted({*rests.tolist(), len(pieces) - 1}):
         run = np.arange(chosen[-1] + 1, last + 1)
         places = c[pieces[run]][:, : p.V.stop]
         way = float(np.max(np.sum(norm(places[..., -1] - places[..., 0]), axis=0)))
-        least = LEANING if np.max(leans[run]) > PLAIN else BETWEEN
-        count = max(least, math.ceil(way / FARTHEST)) if way > AT_REST else 1
+        count = max(BETWEEN, math.ceil(way / FARTHEST)) if way > AT_REST else 1
         kept = np.linspace(run[0] - 1, last, count + 1)[1:]
         chosen += np.unique(np.ceil(kept - 1e-9).astype(int)).tolist()
     return np.array([[pieces[0], 0], *([pieces[k], -1] for k in chosen[1:])])
@@ -229,16 +226,12 @@ def friction_shifts(p: Plan) -> Iterator[Row]:
 def clear_of_shift(p: Plan, shift: float, on: Mask) -> tuple[float, str]:
     """Return the shift [m] for which there is room on pieces, and a verdict.
 
-    Walls and objects leave it where vertices return to their places, and the errors of drones where
-    legs lean.
+    Walls and objects leave it where vertices return to their places.
     """
     rooms, verdicts = [BIG], [SAMPLED]
-    pulls = p.pulls.c[0][on] - np.repeat(p.tensions.c[0][on], 2, axis=1)
-    if p.tube[0] and np.max(np.abs(pulls)) > PLAIN:
-        rooms.append(p.tube[0])
     corners = np.moveaxis(p.points.c[0][on][:, p.V], 2, -1)
     if np.max(norm(corners[-1, :, -1] - corners[0, :, 0])) > RETURN:
-        return min(rooms), SAMPLED
+        return BIG, SAMPLED
     if p.arena is not None:
         lower, upper = (np.array(p.arena[side]) for side in ("lower", "upper"))
         rooms += [float(np.min(corners - lower)), float(np.min(upper - corners))]

@@ -8,12 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.model import (
-    CLASPS_PER_CHUNK,
-    FlatJets,
-    drone_jets,
-    slipping_drones,
-)
+from hitchopt.hitch.model import CLASPS_PER_CHUNK, FlatJets, drone_jets
 from hitchopt.planners.path import cables_of_legs
 from hitchopt.values import Array
 from tests.helpers.clasp_balance import KINDS, random_hitch
@@ -68,19 +63,12 @@ def test_jets_in_chunks_equal_those_of_each_time(kind: str) -> None:
 @given(seeds, st.integers(3, 6), topologies, kinds)
 @settings(max_examples=25)
 def test_jets_are_derivatives_along_a_curve(seed: int, n: int, topology: str, kind: str) -> None:
-    """Of drones whose legs pull as their cables, and of those through whose clasps cables slide."""
     h = random_hitch(seed, n, topology, kind)
     t = 1e-3 * np.arange(-2.0, 3.0)
     flat = moving(h, seed, t)
     jets = drone_jets(h.team, flat)
     inner = slice(None) if topology == "closed" else slice(1, -1)
-    found = [jets.positions[:, inner], jets.legs[:, inner]]
-    if topology == "closed" and kind in KINDS[:2]:
-        pulls = np.repeat(h.team.tension[:, None], 2, axis=1)
-        pulled = along(np.random.default_rng(seed), pulls, 0.02, t)
-        level = flat.vertices * np.array([1.0, 1.0, 0.0])[:, None]
-        found.append(slipping_drones(h.team, level, jets.legs, flat.tensions, pulled))
-    for values in found:
+    for values in (jets.positions[:, inner], jets.legs[:, inner]):
         for order in range(3):
             f = values[..., order]
             difference = (f[0] - 8 * f[1] + 8 * f[3] - f[4]) / (12 * 1e-3)
@@ -89,47 +77,11 @@ def test_jets_are_derivatives_along_a_curve(seed: int, n: int, topology: str, ki
 
 
 @pytest.mark.parametrize("topology", ["closed", "open"])
-@pytest.mark.parametrize("kind", KINDS)
-def test_legs_with_the_tension_of_their_edges_do_not_move(topology: str, kind: str) -> None:
-    h = random_hitch(3, 4, topology, kind)
+def test_cables_of_legs_are_those_of_the_slack(topology: str) -> None:
+    h = random_hitch(3, 4, topology, "heavy")
     flat, layout = moving(h, 3, np.zeros(1)), h.team.layout
     jets = drone_jets(h.team, flat)
-    pulls = np.repeat(flat.tensions[:, :, None], 2, axis=2)
     chords = jets.positions - flat.vertices[:, layout.anchors]
     cables = cables_of_legs(h.team, chords, jets.legs, flat.tensions)
-    if cables is not None:
-        np.testing.assert_allclose(cables[0, ..., 0], layout.legs_of(h.q_legs, h.slack), atol=1e-9)
-    planned = jets.positions if np.any(h.roll) else None
-    found = slipping_drones(h.team, flat.vertices, jets.legs, flat.tensions, pulls, planned, cables)
-    ends = jets.positions[:, 2 * layout.behind + 1], jets.positions[:, 2 * layout.ahead]
-    expected = np.stack(ends, axis=2)
-    np.testing.assert_allclose(found[..., 0], expected[..., 0], atol=1e-8)
-    whole = slice(None) if topology == "closed" else slice(-1)  # a chain's end moves off its cable
-    np.testing.assert_allclose(found[:, whole], expected[:, whole], atol=1e-8)
-
-
-def still(values: Array) -> Array:
-    """Jets (1, …, 4) of what does not change."""
-    return np.pad(values[None, ..., None], [(0, 0)] * (values.ndim + 1) + [(0, 3)])
-
-
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 7))
-@settings(max_examples=40)
-def test_forces_balance_for_all_feasible_pulls(seed: int, n: int) -> None:
-    h = random_hitch(seed, n)
-    pulls = h.team.tension[:, None] * np.exp(np.random.default_rng(seed).uniform(-0.2, 0.2, (n, 2)))
-    given_jets = (still(x) for x in (h.vertices, h.legs, h.team.tension, pulls))
-    legs = slipping_drones(h.team, *given_jets)[0, ..., 0] - h.vertices[:, None]
-    edges = h.team.tension[:, None] * np.pad(h.polygon.edge_directions, ((0, 0), (0, 1)))
-    for k in range(n):
-        V = edges[k - 1] - edges[k]
-        a, b, size = pulls[k, 0], pulls[k - 1, 1], np.linalg.norm(V)
-        if not abs(a - b) < size < a + b:
-            assert np.all(np.isnan(legs[k, :, :2]))
-            continue
-        lengths = np.linalg.norm(legs[k], axis=1)
-        np.testing.assert_allclose(lengths, [h.legs[k - 1, 1], h.legs[k, 0]], rtol=1e-9)
-        r_hat, q_hat = legs[k] / lengths[:, None]
-        np.testing.assert_allclose(a * q_hat + b * r_hat, V, atol=1e-9)
-        right = np.array([V[1], -V[0], 0.0])
-        assert right @ r_hat <= 0.0 <= right @ q_hat  # clasped
+    assert cables is not None
+    np.testing.assert_allclose(cables[0, ..., 0], layout.legs_of(h.q_legs, h.slack), atol=1e-9)

@@ -23,7 +23,7 @@ from tests.helpers.plans import planned
 
 @cache
 def aborts_of(name: str) -> Aborts:
-    """Aborts of a problem's plan, of a release, or of legs that are rolled, or lean."""
+    """Aborts of a problem's plan, of a release, or of legs that are rolled."""
     if name == "untied":
         start = ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]])
         return Aborts(ho.solve(start, ho.Release()).flight)
@@ -35,13 +35,6 @@ def aborts_of(name: str) -> Aborts:
         corners = ho.regular_polygon(5, 1.0)
         start = ho.Hitch(team, corners, 1.5, np.full(5, 0.6), np.radians(roll))
         return Aborts(ho.solve(start, ho.Transport(to=[0.5, 0.0, 1.5])).flight)
-    if name == "leaning":
-        team = ho.Team(4, 2.2, cable_friction=0.1)
-        start = ho.Hitch.balanced(team, ho.regular_polygon(4, 1.0), 1.5)
-        slow = ho.Limits(speed=0.06)
-        return Aborts(
-            ho.solve(start, ho.MoveVertex(0, by=[0.1, 0.1], settle=False), limits=slow).flight
-        )
     return Aborts(planned(name).flight)
 
 
@@ -55,8 +48,6 @@ def aborts_of(name: str) -> Aborts:
         ("swarms/head_on", 0.4, "land"),
         ("untied", 0.9, "land"),  # back to the hitch, from where it lands sooner
         ("rolled", 0.1, "land"),
-        ("leaning", 0.2, "land"),
-        ("leaning", 0.2, "release_and_land"),
     ],
 )
 def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, how: str) -> None:
@@ -82,11 +73,9 @@ def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, 
     else:
         assert np.min(end[:, 2]) == pytest.approx(0.0, abs=1e-9)
         assert last.state.hitched == (how == "land" and name != "swarms/head_on")
-    if name == "leaning":  # they stand straight where the plan rests
-        assert (found.start, found.seconds) == (plan.duration, 0.0)
 
 
-@pytest.mark.parametrize("name", ["triangle", "form_triangle", "leaning", "two_teams"])
+@pytest.mark.parametrize("name", ["triangle", "form_triangle", "two_teams"])
 def test_stops_right_after_breaks_leave_no_short_pieces(name: str) -> None:
     flight = aborts_of(name).flight
     rng = np.random.default_rng(5)

@@ -127,7 +127,7 @@ def test_unsupported_teams_are_refused() -> None:
     with pytest.raises(ho.InputError, match="hitch"):
         ho.Replanner(start.team, ho.solve(start, ho.Release()))
     rolled, plan = replace(start, roll=np.full(3, 0.3)), planned("form_pentagon")
-    for here, why in ((rolled, "legs lean, are rolled"), (plan, "there is no hitch")):
+    for here, why in ((rolled, "legs are rolled"), (plan, "there is no hitch")):
         replanner = ho.Replanner(here.team if here is rolled else plan.motion.team, here)
         for at in (0.0, 1e-7):
             answer = replanner.retarget(to=[0.0, 0.0, 1.0], at=at)

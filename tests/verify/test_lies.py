@@ -402,13 +402,14 @@ LIES = [
 PLANS = {
     "morph": "triangle",
     "form": "form_triangle",
-    "slid": "friction",
     "swarm": "swarms/circle_6",
     "chain": "open_arc",
 }
 
-CARRIED = {"carry": "carry_box", "grip": "grip_drum"}
+CARRIED = {"carry": "carry_box", "grip": "grip_drum", "slid": "grip_drum"}
 """Of these problems the transport alone, from beside the object, which is verified sooner."""
+
+FRICTION = 0.1  # Of the cables that are slid, against which legs lean as they grip
 
 UNLIKE_TEAM = {
     "robots": 3,
@@ -435,6 +436,8 @@ def plan(name: str) -> tuple[ho.Plan, str]:
         around = [[x - 0.8 + a, y + b] for a, b in form["form"]["polygon"]]
         start = {"hitch": {"polygon": around, "altitude": form["form"]["altitude"]}}
         problem = {**problem, "start": start, "mission": [transport]}
+        if name == "slid":
+            problem["team"] = {**problem["team"], "cable_friction": FRICTION}
     return ho.solve(problem_from_dict(problem)), json.dumps(problem)
 
 

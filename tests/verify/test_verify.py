@@ -26,6 +26,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.verify import arithmetic, catenary, driver, shapes
 from hitchopt.verify.arithmetic import Curve, Effort, Line
 from hitchopt.verify.spans import Spans, prove
+from tests.helpers.leaning import leaning
 from tests.helpers.plans import planned
 
 QUICK = (
@@ -109,7 +110,7 @@ def test_errors_stand_in_a_column_of_their_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize("factor", [0.6, 1.6])
 def test_pulls_beyond_friction_exceed_by_as_much_in_both(factor: float, tmp_path: Path) -> None:
     """Both relate excesses, above the range and below it, to the cable's tension."""
-    motion = planned("friction").motion
+    motion = leaning(planned("friction").motion, 0.1)
     pulls = motion.leg_tensions.replaced(factor * motion.leg_tensions.coefficients)
     slid = motion.replaced(leg_tensions=pulls)
     write_plan(tmp_path / "plan.npz", ho.Flight.of(slid))

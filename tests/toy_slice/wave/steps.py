@@ -23,7 +23,7 @@ class Wave(HitchStep):
 
     height: Annotated[float, Key(LENGTH, "Height to rise", 0.2)]
 
-    def plan_unfinished(self, task: StepTask) -> StepPlan:
+    def plan(self, task: StepTask) -> StepPlan:
         """Return the plan that rises and returns."""
         hitch = task.hitch
         low = np.append(hitch.polygon.centroid, hitch.altitude)

@@ -1,4 +1,4 @@
-"""Cables with friction: legs lean where they slide, and vertices over-travel to settle."""
+"""Cables with friction: vertices over-travel to settle."""
 
 from __future__ import annotations
 
@@ -14,14 +14,7 @@ import hitchopt as ho
 from hitchopt import verify
 from hitchopt.forming.steps import Form
 from hitchopt.friction import settling
-from hitchopt.friction.leaning import (
-    DISTANCE_FACTOR,
-    MAX_LEAN,
-    FrictionFeedforward,
-    friction_feedforward,
-)
 from hitchopt.friction.steps import Settle
-from hitchopt.motion.motion import Motion
 from hitchopt.steps import Step
 from hitchopt.steps.moving import (
     Adjust,
@@ -32,99 +25,11 @@ from hitchopt.steps.moving import (
     MoveVertex,
     Transport,
 )
-from tests.helpers.clasp_balance import unit
-
-POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
-GOAL = np.array([[2.2, 0.4], [1.2, -1.0], [0.1, -0.4], [0.45, 0.75]])
-LENGTHS, TENSIONS = [2.9, 2.8, 2.7, 3.0], [0.5, 0.45, 0.55, 0.5]
-
-
-def morphed() -> Motion:
-    """A morph without friction and with constant fractions, so that laws are exact."""
-    start = ho.Hitch.balanced(ho.Team(4, LENGTHS, tension=TENSIONS), POLYGON, altitude=1.2)
-    motion = ho.morph(start, GOAL, legs="balanced", duration=4.0).motion
-    assert isinstance(motion, Motion)
-    return motion
-
-
-def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> FrictionFeedforward:
-    rubbing = replace(motion, team=replace(motion.team, cable_friction=friction))
-    found = friction_feedforward(rubbing, share, slower=True)
-    assert found is not None
-    return found
-
-
-@pytest.mark.parametrize("friction", [0.05, 0.3])
-def test_growing_legs_have_higher_tensions_within_friction(friction: float) -> None:
-    motion = leaned(morphed(), friction).motion
-    inner = motion.duration * np.linspace(0.2, 0.8, 121)
-    rates = motion.legs.at(inner, 1).reshape(len(inner), -1)
-    ratio = np.log(motion.pulls.at(inner) / np.repeat(motion.tensions.at(inner), 2, axis=1))
-    sliding = np.abs(rates) > 0.3 * np.max(np.abs(rates))
-    assert np.sum(sliding) > 100
-    assert np.all(np.sign(rates[sliding]) == np.sign(ratio[sliding]))
-    assert np.max(np.abs(ratio)) > 0.2 * friction
-    assert np.max(np.abs(ratio)) < np.pi * friction
-
-
-def test_a_cable_that_slides_alone_expects_the_friction_of_its_whole_twist() -> None:
-    """The resting cable of its clasp bears what of this friction is along it, on the other side.
-
-    With unequal tensions the weaker cable turns by more than the other one.
-    """
-    team = ho.Team(4, LENGTHS, tension=[0.5, 0.42, 0.58, 0.5], cable_friction=0.03)
-    start = ho.Hitch.balanced(team, POLYGON, altitude=1.2)
-    motion = ho.solve(
-        start, ho.Adjust(start.legs[:, 0] + [0.0, 0.1, 0.0, 0.0], duration=6.0)
-    ).motion
-    ratio = np.log(motion.pulls.at(3.0).reshape(4, 2) / motion.tensions.at(3.0)[:, None])
-    p, x = motion.vertices.at(3.0), start.drones
-
-    def turn(cable: int, end: int) -> float:
-        """Return the angle by which a cable turns at the clasp of its q or r."""
-        at, other = (cable + end) % 4, (cable + 1 - end) % 4
-        arriving, leaving = unit(p[at] - x[2 * cable + end]), unit(p[other] - p[at])
-        return float(np.arccos(arriving @ leaving))
-
-    for end, sign in ((0, 1.0), (1, -1.0)):  # both of cable 1, one let out, one drawn in
-        resting = 2 * end, 1 - end
-        turns = turn(1, end), turn(*resting)
-        bends = np.pi * np.sin(0.5 * np.array(turns))
-        alone = sign * 0.03 / 1.1  # a tenth of the largest speed counts as still
-        assert ratio[1, end] == pytest.approx(alone * bends[0], rel=0.03)
-        assert ratio[resting] == pytest.approx(-alone * bends[1] * np.mean(np.cos(turns)), rel=0.1)
-    assert np.max(np.abs(ratio[3])) < 1e-9
-
-
-@pytest.mark.parametrize("friction", [0.05, 2.0])
-def test_leans_are_limited_and_drones_keep_their_distances(friction: float) -> None:
-    """At large friction both limits bind: a sharp vertex would lock."""
-    plain = morphed()
-    found, s, layout = leaned(plain, friction), np.linspace(0.0, 1.0, 401), plain.team.layout
-    motions = (found.motion, plain)
-    places = [m.drones.at(s * m.duration) for m in motions]
-    here, there = (
-        unit(x - m.vertices.at(s * m.duration)[:, layout.anchors])
-        for x, m in zip(places, motions, strict=True)
-    )
-    most = np.max(np.arccos(np.clip(np.sum(here * there, axis=-1), -1.0, 1.0)))
-    assert most <= MAX_LEAN * 1.05
-    assert found.lean == pytest.approx(most, rel=0.02)
-    pairs = [x[:, 2 * layout.ahead] - x[:, 2 * layout.behind + 1] for x in places]
-    gaps = [np.linalg.norm(pair, axis=-1) / 0.24 for pair in pairs]
-    assert np.all(gaps[0] >= np.minimum(gaps[1], DISTANCE_FACTOR) - 0.01)
-
-
-def test_the_lean_is_proportional_to_the_expected_friction() -> None:
-    turned = [leaned(morphed(), 0.04, share).lean for share in (0.25, 0.5, 1.0)]
-    np.testing.assert_allclose(turned[1:], [2.0 * turned[0], 4.0 * turned[0]], rtol=0.1)
-
 
 SLIDING = ho.ConvexPolygon([[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]])
 WORKED = ho.ConvexPolygon([[3.0, -0.25], [3.65, -1.375], [2.35, -1.375]])
 Q = np.array([[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]])
 R = np.array([[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]])
-LEANING = "legs lean against friction, by up to"
 
 
 def planned(steps: tuple[Step, ...], start: Any, team: ho.Team, kept: Any) -> ho.Plan:
@@ -153,66 +58,12 @@ def moved(x: float, y: float, seconds: float | None, settle: Any = False) -> Ste
 MOVE = moved(0.1, 0.3, 4.0)
 
 
-@pytest.mark.parametrize(
-    ("step", "friction", "cable", "leans"),
-    [
-        (MOVE, 1e-3, 0.1, False),  # too little to lean for
-        (MOVE, 0.1, 0.0, True),
-        (moved(0.0, 0.4, 8.0), 0.3, 0.1, True),
-    ],
-)
-def test_remarks_say_whether_legs_lean(
-    step: Step, friction: float, cable: float, leans: bool
-) -> None:
-    plan = slid(step, friction=friction, separation=ho.Separation(cable=cable))
-    remark = plan.phases[0].remark
-    assert LEANING in remark if leans else "lean" not in remark
-    assert "limits bind" not in remark
-    assert plan.motion.leg_tensions_differ == leans
-
-
-def test_legs_lean_less_if_less_friction_moved_vertices_off_their_ways() -> None:
-    free = slid(MOVE, limits=ho.Limits(tracking=0.05))
-    allowed = 0.8 * free.certificate["friction_shift"].worst
-    tight = slid(MOVE, limits=ho.Limits(tracking=allowed))
-    assert tight.certificate["friction_shift"].worst <= allowed
-    assert re.search("% of the friction: limits bind", tight.phases[0].remark)
-
-
-def test_only_the_steps_that_slide_lean() -> None:
-    turned = Transport(np.array([0.5, 0.0, 1.4]), yaw=0.35)
-    plan = slid(Hold(0.5), MOVE, turned, Adjust("balanced", duration=4.0, settle=False))
-    assert [LEANING in phase.remark for phase in plan.phases] == [False, True, False, True]
-    for phase in plan.phases[::2]:
-        t = np.linspace(phase.start, phase.end, 50)
-        np.testing.assert_allclose(plan.motion.pulls.at(t), 0.5, atol=1e-9)
-    assert np.ptp(plan.motion.pulls.at(np.linspace(0.0, plan.duration, 2_000))) > 0.02
-
-
-def test_legs_lean_less_near_their_limits() -> None:
-    """A tilt limit just above that of the hitch at rest lets no leg pull much harder."""
-    inward, t = moved(0.0, -0.25, 6.0), np.linspace(0.0, 6.0, 2_000)
-    free = slid(inward)
-    most, least = (p.certificate["tilt"].worst for p in (free, slid(inward, friction=0.0)))
-    assert most > least + 0.1
-    tight = slid(inward, limits=ho.Limits(tilt=np.radians(0.5 * (most + least))))
-    assert "limits bind" in tight.phases[0].remark
-    ratios = [np.max(np.abs(plan.motion.pulls.at(t) - 0.5)) for plan in (tight, free)]
-    assert 0.0 < ratios[0] < ratios[1]
-
-
-def test_motions_whose_lean_would_violate_limits_have_none() -> None:
-    """Within walls that the drones just reach; vertices move as without friction."""
-    step, t = moved(0.2, 0.0, 4.0), np.linspace(0.0, 4.0, 4_001)
-    plain, free = slid(step, friction=0.0).at(t), slid(step).at(t)
-    np.testing.assert_allclose(free.vertices, plain.vertices, atol=1e-9)
-    away = np.linalg.norm(free.positions - plain.positions, axis=-1)
-    np.testing.assert_allclose(away[[0, -1]], 0.0, atol=1e-7)
-    assert 0.01 < np.max(away) < 0.2
-    places = plain.positions.reshape(-1, 3)
-    plan = slid(step, arena=ho.Arena(places.min(axis=0) - 1e-4, places.max(axis=0) + 1e-4))
-    assert "clasp friction is not compensated: limits bind" in plan.phases[0].remark
-    np.testing.assert_array_equal(plan.at(t).positions, plain.positions)
+def test_friction_alone_changes_no_motion() -> None:
+    rough, smooth = slid(MOVE), slid(MOVE, friction=0.0)
+    t = np.linspace(0.0, smooth.duration, 300)
+    np.testing.assert_allclose(rough.at(t).positions, smooth.at(t).positions, atol=1e-12)
+    assert rough.duration == smooth.duration
+    assert not rough.motion.leg_tensions_differ
 
 
 def test_a_hitch_settles_by_shrinking_and_growing_less_and_less() -> None:
@@ -248,10 +99,7 @@ MOVES = (
 
 @pytest.mark.parametrize("move", MOVES, ids=lambda step: str(step.name))
 def test_moves_of_cables_with_friction_end_with_settling(move: Any) -> None:
-    """The settled end is the planned one, and the motion before it that of ``settle: false``.
-
-    Vertices over-travel, by moves in which no leg leans.
-    """
+    """The settled end is the planned one, and the motion before it that of ``settle: false``."""
     worked, left = slid(move), slid(replace(move, settle=False))
     smooth = slid(move, friction=0.0)
     assert [phase.name for phase in worked.phases] == [move.name, "settle"]
@@ -334,7 +182,7 @@ def test_a_range_of_friction_needs_no_over_travels_below_its_least(tmp_path: Pat
     counts = list[int]()
     for friction in (0.1, [0.0, 0.1], [0.1, 0.1]):
         plan = slid(OUTWARD, friction=friction)  # type: ignore[arg-type]
-        assert (plan.motion.team.friction, LEANING in plan.phases[0].remark) == (0.1, True)
+        assert plan.motion.team.friction == 0.1
         counts.append(len(turning_points(plan, OUTWARD.by)))
     assert counts[0] == counts[1] > counts[2] + 1
     plan.save(tmp_path)
