@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 from hitchopt.checks.linking import DURATION
 from hitchopt.errors import InfeasibleError, RequestError, broken_limit
@@ -75,16 +75,24 @@ class BlendedStep:
     def passed(self) -> PassedStep:
         """The step of a flight without a stop."""
         stopping = self.stopping if isinstance(self.stopping, StepPlan) else None
-        return PassedStep(self.step.name, self._hitches, self.step.prescribed_duration, stopping)
+        return PassedStep(self.step.name, self.hitches, self.step.prescribed_duration, stopping)
+
+    @cached_property
+    def hitches(self) -> Callable[[int], list[Hitch]]:
+        """A function that returns the end, and before it a number of hitches, or about it.
+
+        They are of the route on which it stops. They are found once for all flights that pass them.
+        """
+        return cache(self._hitches)
 
     def _hitches(self, count: int) -> list[Hitch]:
-        """Return the end, and before it about ``count`` hitches of the route on which it stops."""
+        """Return the end, and before it about ``count`` hitches."""
         route = self.stopping.path if isinstance(self.stopping, StepPlan) else None
         if route is not None and count > 0:
-            on_route = hitches_along(route, count)
+            on_way = hitches_along(route, count)
         else:
-            on_route = self.step.passed(self.task, count)[:-1]
-        return [*on_route, self.after.tied]
+            on_way = self.step.on_way(self.task, count)
+        return [*on_way, self.after.tied]
 
 
 def _plan_with_few_stops(steps: Sequence[BlendedStep]) -> StepPlan:

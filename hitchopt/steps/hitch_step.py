@@ -39,9 +39,9 @@ class NonstopStep(HitchStep):
     def end(self, task: StepTask) -> End:
         """Return the hitch after the step."""
 
-    def passed(self, task: StepTask, count: int) -> list[Hitch]:  # noqa: ARG002
-        """Return hitches that a flight without a stop passes: about ``count``, and the end."""
-        return [self.end(task).hitch]
+    def on_way(self, task: StepTask, count: int) -> list[Hitch]:  # noqa: ARG002
+        """Return about ``count`` hitches that a flight without a stop passes before the end."""
+        return []
 
 
 class ShapeStep(NonstopStep):

@@ -572,19 +572,19 @@ class Transport(NonstopStep):
         """Return the hitch at the goal."""
         return End(end_of_transport(task.hitch, np.asarray(self.to), self.yaw))
 
-    def passed(self, task: StepTask, count: int) -> list[Hitch]:
+    def on_way(self, task: StepTask, count: int) -> list[Hitch]:
         """Return hitches on the straight way to the goal, turned by MAX_PASSED_TURN at most."""
         start = task.hitch
         centroid = np.append(start.polygon.centroid, start.altitude)
         parts = max(count + 1, math.ceil(abs(self.yaw) / MAX_PASSED_TURN))
         shares = np.arange(1, parts) / parts
-        on_way = [
+        steps = (
             replace(
                 self, to=centroid + share * (np.asarray(self.to) - centroid), yaw=share * self.yaw
             )
             for share in shares.tolist()
-        ]
-        return [step.end(task).hitch for step in (*on_way, self)]
+        )
+        return [step.end(task).hitch for step in steps]
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""

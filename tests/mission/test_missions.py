@@ -15,8 +15,11 @@ import hitchopt as ho
 from hitchopt import verify
 from hitchopt.errors import AT_END, StepPlace, Violation
 from hitchopt.forming.steps import Land, Release
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.cache import contents
+from hitchopt.planners.task import RestState, StepTask
 from hitchopt.steps import Step
+from hitchopt.steps.blended import BlendedStep
 from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
 from hitchopt.values import MAX_COORDINATE
 from hitchopt.values.fields import with_fields
@@ -169,6 +172,15 @@ def test_blends_take_their_durations_and_no_longer_than_with_stops(seed: int) ->
         is_moving = fastest(plan, last.end) > 1e-6
         assert is_moving == ("continues" in last.remark)
         assert is_moving or not keys.get("blend") or "stops: " in last.remark
+
+
+def test_hitches_of_blended_steps_are_found_once() -> None:
+    step = MoveVertex(0, by=np.array([-0.05, 0.03]), blend=True)
+    start = ho.Hitch.balanced(ho.Team(4, 2.0), SQUARE, 1.2)
+    task = StepTask(RestState(start.team, start.drones, start), 0, Requirements())
+    step_of_blend = BlendedStep(step, task)
+    assert step_of_blend.passed.hitches(2) is step_of_blend.passed.hitches(2)
+    assert len(step_of_blend.passed.hitches(0)) == 1
 
 
 def test_a_blend_that_is_not_faster_stops_and_says_so() -> None:

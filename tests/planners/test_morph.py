@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.quadratic_program import solve_qp
@@ -354,3 +355,19 @@ def test_distances_at_samples_are_those_of_the_timed_motion(wide: float) -> None
             assert "of the path" in violation.when
         refused += broken
     assert len(set(refused)) > 1
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_samples_see_small_violations_of_distances(index: int) -> None:
+    """A radius is chosen that the certificate of the motion misses by half a thousandth."""
+    pair = irregular_pairs()[index]
+    team = Team(pair["n"], pair["cable_length"])
+    path = Path.straight(*(Hitch.spread(team, pair[key]) for key in ("start", "goal")))
+    check = RULE_OF["separation"].check(motion_along(path, Requirements()))
+    assert check is not None
+    radius = Requirements().separation.radius * check.worst * 1.0005
+    found = error_of(
+        partial(check_distances, path, Requirements(separation=ho.Separation(radius=radius)))
+    )
+    assert found is not None
+    assert "separation" in {violation.constraint for violation in found.violations}

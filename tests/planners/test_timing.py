@@ -34,6 +34,7 @@ from hitchopt.planners.timing.profile import (
 from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
 from hitchopt.planners.timing.stretch import further_stretch, needed_stretch
 from hitchopt.planners.timing.timed_motion import (
+    MAX_PACE_GAIN,
     MAX_PEAK,
     PACE_TOLERANCE,
     TIMING_GRID,
@@ -397,6 +398,7 @@ def test_totals_are_checked_before_a_motion_is_timed() -> None:
     motion, _ = motion_in_parts(
         path, Requirements(), np.array([0.0, 0.5, 1.0]), np.array([3.0, 0.0]), totals.append
     )
-    estimate, duration = totals
+    estimate, bound, duration = totals
     assert duration == motion.duration
     assert estimate == pytest.approx(duration, rel=0.05)
+    assert (1.0 - 2.0 * MAX_PACE_GAIN) * duration <= bound <= duration

@@ -158,9 +158,9 @@ def load_violation(path: FlatPath, limits: Limits, on_path: str = ON_PATH) -> Vi
 CHECKED_AT_SAMPLES = distances_of("drones", "cables", "vertices", "ground", "walls")
 """Checks of distances that neither another timing nor a detour around objects mends."""
 
-DISTANCE_SAMPLES = 65  # Number of points of a path at which they are evaluated
+DISTANCE_SAMPLES = 257  # Number of points of a path at which they are evaluated
 
-DISTANCE_TOLERANCE = 1e-3
+DISTANCE_TOLERANCE = 2e-5
 """Largest violation, in the unit of its check, that is left to the certificate: motions pass
 breakpoints of their paths exactly, and are less far from them in between."""
 

@@ -94,6 +94,13 @@ class ClockedMotion(NamedTuple):
     clock: Clock
 
 
+class PeakedMotion(NamedTuple):
+    """The fastest motion at samples, and the clock of the profile from which it was found."""
+
+    first: Clock
+    fastest: ClockedMotion
+
+
 PACE_TOLERANCE = 1e-3  # Relative difference of a part's duration from its smallest one
 
 
@@ -193,6 +200,11 @@ class PacedTiming:
     @property
     def motion(self) -> ClockedMotion:
         """The motion and its clock; between samples it may exceed limits."""
+        return self._without_peaks(*self.peaked)
+
+    @cached_property
+    def peaked(self) -> PeakedMotion:
+        """The motion with peaks of jerk between samples, without which none is faster."""
         refinement = 1
         while True:
             mesh = time_mesh(self.profile, self.ramp, refinement, self.pace.joints)
@@ -200,7 +212,7 @@ class PacedTiming:
             fastest = self._clocked(first)
             motion = fastest.motion
             if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
-                return self._without_peaks(first, fastest)
+                return PeakedMotion(first, fastest)
             refinement *= 2
 
     def _clocked(self, first: Clock, jerk_shares: Array | None = None) -> ClockedMotion:
@@ -235,6 +247,7 @@ class PacedTiming:
 
 MAX_PACES = 4  # Maximum number of paces of profiles that are tried for durations of parts
 MAX_TIMINGS = 2  # Maximum number of paces at which motions are timed; the rest is a stretch
+MAX_PACE_GAIN = 0.015  # Largest share of a motion's duration by which another pace shortens it
 
 
 class PartedMotion(NamedTuple):
@@ -260,7 +273,8 @@ def motion_in_parts(
     ----------
     ends: (parts + 1,), path parameters at which the parts start and end, from 0 to 1.
     durations: (parts,) [s], smallest durations; 0 for none.
-    check_total: called with an estimate of the whole duration [s], and with the duration.
+    check_total: called with an estimate of the whole duration [s], with about its lower bound, and
+        with the duration.
 
     Raises
     ------
@@ -274,9 +288,13 @@ def motion_in_parts(
         if pace is current:
             break
     check_total(float(times[-1]))
-    for _ in range(MAX_TIMINGS):
+    gain = MAX_PACE_GAIN if np.any(durations) else 0.0
+    for timed in range(MAX_TIMINGS):
         current = pace
-        fastest, clock = PacedTiming(path, requirements, current).motion
+        timing = PacedTiming(path, requirements, current)
+        if timed == 0:
+            check_total((1.0 - gain) * timing.peaked.fastest.motion.duration)
+        fastest, clock = timing.motion
         motion = within_limits(fastest)
         inner = clock.times_at(ends[1:-1]) * (motion.duration / fastest.duration)
         times = np.concatenate([[0.0], inner, [motion.duration]])
