@@ -30,7 +30,7 @@ class Slice:
     name: str  # Its folder in hitchopt, and in tests
     needs: tuple[str, ...] = ()  # Slices that it imports
     steps: Names = field(default_factory=dict)  # Steps of missions, in the order of keys
-    drone_step: str = ""  # Place of the only step of single drones
+    drone_steps: Names = field(default_factory=dict)  # The only step of single drones
     checks: tuple[str, ...] = ()  # Modules with rules and reports of certificates
     functions: Mapping[str, str] = field(default_factory=dict)  # Places that the core asks for
     names: Names = field(default_factory=dict)  # Public names of hitchopt
@@ -61,7 +61,13 @@ SLICES = (
         needs=("view",),
         steps={
             "steps": (
-                *("Enclose", "Grasp", "Lift", "Carry", "SetDown", "Loosen", "Leave"),
+                "Enclose",
+                "Grasp",
+                "Lift",
+                "Carry",
+                "SetDown",
+                "Loosen",
+                "Leave",
                 "TransportObject",
             )
         },
@@ -72,7 +78,7 @@ SLICES = (
     ),
     Slice(
         "swarms",
-        drone_step="steps:Fly",
+        drone_steps={"steps": ("Fly",)},
         names={"api": ("separate",), "steps": ("Fly",)},
     ),
     Slice(
@@ -208,7 +214,7 @@ def check_modules() -> Iterator[ModuleType]:
 
 
 def by_module(names: str) -> dict[str, tuple[str, ...]]:
-    """Return ``names``, ``room_names`` or ``steps`` of all slices by their modules in hitchopt."""
+    """Return the names of all slices by their modules in hitchopt; ``names`` is their field."""
     return {
         f"{each.name}.{module}": those
         for each in SLICES

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 
-from hitchopt.slices import SLICES, by_module
+from hitchopt.slices import by_module
 from hitchopt.steps import moving
 from hitchopt.steps.step import Step as Step
 from hitchopt.steps.step import key_of
@@ -41,17 +41,11 @@ class StepKinds(Mapping[str, type[Step]]):
         return {name: module for module, name in self._places.values()}
 
 
-_DRONE_STEPS = {
-    f"{each.name}.{module}": (name,)
-    for each in SLICES
-    for module, _, name in [each.drone_step.partition(":")]
-    if name
-}
+_STEPS = {"steps.moving": tuple(moving.__all__), **by_module("steps")}
+_DRONE_STEPS = by_module("drone_steps")
 
-STEP_KINDS = StepKinds({"steps.moving": tuple(moving.__all__), **by_module("steps")})
+STEP_KINDS = StepKinds(_STEPS)
 """Kinds of steps of a team with cables, in the order in which a problem file's keys are listed."""
 
 DRONE_STEP_KINDS = StepKinds(_DRONE_STEPS)  # Kinds of steps of single drones
-ALL_STEP_KINDS = StepKinds(  # All kinds of steps
-    {"steps.moving": tuple(moving.__all__), **by_module("steps"), **_DRONE_STEPS}
-)
+ALL_STEP_KINDS = StepKinds(_STEPS | _DRONE_STEPS)  # All kinds of steps
