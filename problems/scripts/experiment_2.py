@@ -3,8 +3,8 @@
 import hitchopt as ho
 
 team = ho.Team(robots=3, cable_length=2.4, cable_density=0.01, quadrotor="paper_132g")
-start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
 limits = ho.Limits(tracking=0.03)  # [m] how far all drones may be off at once
+start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0, limits=limits)
 path = [[0, 0, -1], [1, 0, -0.975], [3, 0, -0.875], [5, 0, -0.775], [6, 0, -0.75]]  # t, x, y
 plan = ho.solve(start, ho.FollowVertex(0, path), limits=limits)
 plan.save("experiment_2")
