@@ -288,7 +288,7 @@ class HoldSearch:
         team, behind = hold.team, partial(np.roll, shift=1, axis=-1)
         edges = np.roll(hold.polygon, -1, axis=-2) - hold.polygon
         lengths = length(edges)
-        half_weights = 0.25 * GRAVITY * team.cable_density * (team.cable_length + lengths)
+        half_weights = 0.5 * GRAVITY * team.cable_density * lengths
         weights = GRAVITY * hold.body.mass * hold.supports.shares
         weights = weights + half_weights + behind(half_weights)
         pulls = self.tension[:, None] * edges / lengths[..., None]

@@ -36,11 +36,12 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import (
     BalanceError,
     ClaspLoads,
+    cable_of,
     cable_slack_of,
     clasp_loads,
     leg_directions,
     leg_vectors,
-    sag_factors,
+    weight_ratios,
 )
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
@@ -61,20 +62,20 @@ def polygon_at(body: SolidObject, vertices: Array) -> ConvexPolygon:
 
 
 def leg_chords(
-    team: Team, lengths: Array, directions: tuple[Array, Array], factors: Array, clasps: Array
+    team: Team, lengths: Array, directions: tuple[Array, Array], ratios: Array, clasps: Array
 ) -> tuple[Array, Array]:
     """Return drones (…, 2n, 3) [m] and the lengths of the legs' chords (…, n, 2) [m].
 
     Parameters
     ----------
     lengths: (…, n, 2) [m], cable lengths of q- and r-legs.
-    directions: of q- and r-legs, (…, n, 3) each.
-    factors: (…, n) [1/m²], those of ``sag_factors``.
+    directions: of q- and r-legs at their clasps, (…, n, 3) each.
+    ratios: (…, n) [1/m], those of ``weight_ratios``.
     clasps: (…, n, 3) [m]
     """
     q_directions, r_directions = directions
-    q_legs = leg_vectors(lengths[..., 0], q_directions, factors)
-    r_legs = leg_vectors(lengths[..., 1], r_directions, factors)
+    q_legs = leg_vectors(lengths[..., 0], q_directions, ratios)
+    r_legs = leg_vectors(lengths[..., 1], r_directions, ratios)
     legs = np.stack([q_legs, r_legs], axis=-2)  # (…, n, 2, 3)
     anchors = clasps[..., team.layout.anchors, :].reshape(*clasps.shape[:-2], *legs.shape[-3:])
     drones = (anchors + legs).reshape(*legs.shape[:-3], -1, 3)
@@ -224,14 +225,12 @@ class RestHold(HoldingHitch):
         edges = np.roll(self.clasps, -1, axis=-2) - self.clasps
         slack = cable_slack_of(team, edges, tension)
         q_legs = self.fractions * slack
-        cable_loads = clasp_loads(team, q_legs, slack, self.roll)
+        cable_loads = clasp_loads(team, slack, self.roll)
         if cable_loads is None:
             clasp_forces = forces
-            half_leg_weights = np.zeros((*forces.shape[:-1], 2))
-            half_edge_weights = half_leg_weights
+            half_edge_weights = np.zeros((*forces.shape[:-1], 2))
         else:
             clasp_forces = forces + cable_loads.forces
-            half_leg_weights = cable_loads.half_leg_weights
             half_edge_weights = cable_loads.half_edge_weights
         edge_tension = tension
         leg_pulls = None
@@ -241,11 +240,11 @@ class RestHold(HoldingHitch):
             edge_tension = (1.0 - strut[..., None]) * leg_tension
             leg_pulls = np.stack([leg_tension, leg_tension], axis=-1)
         roll = np.broadcast_to(self.roll, forces.shape[:-1])
-        loads = ClaspLoads(clasp_forces, half_leg_weights, roll, half_edge_weights)
+        loads = ClaspLoads(clasp_forces, roll, half_edge_weights)
         along = np.broadcast_to(unit(edges), forces.shape)
         directions = leg_directions(along, edge_tension, team.topology, loads, None, leg_pulls)
         lengths = np.stack([q_legs, slack - q_legs], axis=-1) + saved
-        return leg_chords(team, lengths, directions, sag_factors(team, tension), self.clasps)
+        return leg_chords(team, lengths, directions, weight_ratios(team, tension), self.clasps)
 
     def check_unbent(self, tension: Array) -> None:
         """Raise InfeasibleError if legs that the rim does not bend cannot carry the object."""
@@ -477,14 +476,17 @@ class GripHold(HoldingHitch):
             edge_tension = leg_tension * edge_ratios(friction, edges.wraps.clasp_angles)
             leg_pulls = np.stack([leg_tension, leg_tension], axis=-1)
 
-        sag = sag_factors(team, edge_tension)
+        ratios = weight_ratios(team, edge_tension)
         edge_lengths = edges.wraps.arcs + (length(leaving) + length(arriving))
         if team.cable_density > 0.0:
             spans = _spans(leaving, arriving)
             if move.closure[0] != move.closure[1]:
                 seams = [self._seam(end, bends) for end in move.closure]
                 spans = spans + state.between(*seams)
-            edge_lengths = edge_lengths + sag * spans
+            lengths = length(leaving) + length(arriving)
+            span = np.sqrt(spans / lengths)
+            level = np.stack([span, np.zeros_like(span)], axis=-1)
+            edge_lengths = edge_lengths + lengths * (cable_of(level, ratios) / span - 1.0)
 
         slack = team.cable_length - edge_lengths
         opened = self.opened.leg_differences
@@ -492,14 +494,14 @@ class GripHold(HoldingHitch):
         level_slack = team.cable_length - edges.wraps.lengths
         q_legs = (0.5 + 0.5 * differences / level_slack) * slack
         roll = state.between(*move.roll)[..., None] if np.any(move.roll) else None
-        loads = clasp_loads(team, q_legs, slack, roll)
+        loads = clasp_loads(team, slack, roll)
         directions = leg_directions(
             unit(leaving), edge_tension, team.topology, loads, unit(arriving), leg_pulls
         )
         leg_lengths = np.stack([q_legs, slack - q_legs], axis=-1)
         clasp_heights = self.height + edges.heights
         clasps = np.concatenate([edges.polygon, clasp_heights[..., None]], axis=-1)
-        drones, legs = leg_chords(team, leg_lengths, directions, sag, clasps)
+        drones, legs = leg_chords(team, leg_lengths, directions, ratios, clasps)
 
         level_contacts = edges.wraps.contacts
         contact_heights = np.full((*level_contacts.shape[:-1], 1), self.height)

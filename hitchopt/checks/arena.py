@@ -116,7 +116,7 @@ def _part_sags(motion: Motion) -> SagTerms:
 def _part_wall_gap(spans: Parts) -> Bound:
     """Return the minimum distance of taut cables to a wall [m].
 
-    A straight part of length s sags by ``ρ g s² / 8 T`` at its middle.
+    A straight part of length s sags by some ``ρ g s² / 8 T`` at its middle.
     """
     points, sag = _sagging_points(spans)
     return _wall_gap(spans, points, sag)
@@ -124,6 +124,9 @@ def _part_wall_gap(spans: Parts) -> Bound:
 
 def _sagging_points(spans: Parts) -> tuple[Array, Array]:
     """Return points (spans, k, 3, degree + 1) on straight parts, and how far cables sag there [m].
+
+    For half of the weight c of a part, T its tension at an end, catenaries and their slopes at the
+    ends are at most ``(1 + (c/T)²) T / (T - c)`` times those of the parabola ``ρ g s² / 8 T``.
 
     The polygon through the points, lowered by the sags (spans, k), is below the cable. A cable sags
     by the parabola ``4 S u (1 - u)``, u from 0 to 1, with S its sag at the middle. The polygon is
@@ -137,7 +140,12 @@ def _sagging_points(spans: Parts) -> tuple[Array, Array]:
     if spans.source.team.cable_density > 0.0:
         half_density, tension = spans.scalars(_part_sags(spans.source))
         chord = Enclosed(along[:, 0]).norm_upper.value
-        sag = half_density.upper.value / tension.lower.value * chord**2 / 4.0
+        half_weight = half_density.upper.value * chord
+        lowest = tension.lower.value
+        is_borne = lowest > half_weight
+        parabola = 0.25 * half_weight * chord / np.where(is_borne, lowest - half_weight, 1.0)
+        share = half_weight / np.where(is_borne, lowest, 1.0)
+        sag = np.where(is_borne, parabola * (1.0 + share * share), np.inf)
     is_inner = (FRACTIONS > 0.0) & (FRACTIONS < 1.0)
     points = start + FRACTIONS[:, None, None] * along
     return points, sag[:, None] * is_inner

@@ -14,7 +14,7 @@ from hitchopt.checks.distances import Flags
 from hitchopt.checks.hanging import above_ground
 from hitchopt.checks.spans import clasped_pairs, edge_vectors, leg_vectors, pair_of
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.hitch.forces import cable_of, sag_factors
+from hitchopt.hitch.forces import cable_of, weight_ratios
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Indices
@@ -121,10 +121,10 @@ def _taut_share(motion: Motion) -> float:
     places = PROBES[:, None, None, None]
     legs = bernstein.evaluate(leg_vectors(motion)[None], places)  # (probes, pieces, 2n, 3)
     edges = bernstein.evaluate(edge_vectors(motion)[None], places)
-    sag = sag_factors(team, team.tension)
-    q_legs = cable_of(legs[:, :, 0::2], sag)
-    r_legs = cable_of(legs[:, :, 1::2], sag)
-    lengths = cable_of(edges, sag) + q_legs + r_legs
+    ratios = weight_ratios(team, team.tension)
+    q_legs = cable_of(legs[:, :, 0::2], ratios)
+    r_legs = cable_of(legs[:, :, 1::2], ratios)
+    lengths = cable_of(edges, ratios) + q_legs + r_legs
     shares = lengths @ team.tension / float(team.cable_length @ team.tension)
     taut = np.max(1.0 - shares, axis=0) <= LENGTH_LIMIT
     return float(np.sum(motion.drones.durations[taut]) / motion.duration)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.drone_forces import edge_sags
+from hitchopt.checks.drone_forces import edge_sags, reduced_factor
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.friction import FrictionLegs
 from hitchopt.checks.grips import arc_lengths, wrapped_arcs
@@ -30,6 +30,7 @@ from hitchopt.checks.spans import (
     magnitude,
 )
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.taut import taut_part
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import Motion
 from hitchopt.objects.placing import REST_DRIFT
@@ -91,18 +92,17 @@ class Cables(MotionSpans):
 
     @lazy
     def sag(self) -> Enclosed:
-        """Excess of the cable over its chords: ``(ρ g / T)² s³ cos²α / 24`` for each.
-
-        Both straight parts of an edge sag as one.
-        """
-        chords = self.parts
-        if self.source.has_wraps:
-            whole = Enclosed(self.read(_parts(self.source, True)), 2.0 * self.noise)
-            chords = whole * self.scale[:, None]
-        sag_sum = (self.parts.norm * chords.xy.dot(chords.xy)).sum()
+        """Excess of the cable over its chords; both straight parts of an edge sag as one."""
         half_density, tension = self.scalars(edge_sags(self.source))
-        ratio = (half_density * tension.inverse).reduced(RATIO_ORDER) * (2.0 / self.scale)
-        return sag_sum * (ratio * ratio) * (1.0 / 24.0)
+        ratio = (half_density * tension.inverse).reduced(RATIO_ORDER) * (1.0 / self.scale)
+        of_parts = Enclosed(ratio.c[:, None], np.asarray(ratio.r)[..., None])
+        if not self.source.has_wraps:
+            cables = taut_part(self.parts, of_parts, reduced_factor).length
+            return (cables - self.parts.norm).sum()
+        whole = Enclosed(self.read(_parts(self.source, True)), 2.0 * self.noise)
+        chords = whole * self.scale[:, None]
+        cables = taut_part(chords, of_parts, reduced_factor).length
+        return (self.parts.norm * (cables * chords.norm.inverse - 1.0)).sum()
 
 
 @cached

@@ -3,10 +3,8 @@
 Pulls of legs may differ from those of their edges by friction (``hitchopt.checks.friction``); what
 exceeds it counts as a residual of ``equilibrium``.
 
-The q-leg and the edge of cable k meet the r-leg and the edge of cable k-1 at clasp k. Drones carry
-half of each leg of cable k, clasp k half of its q-leg and edge, clasp k+1 half of its edge and
-r-leg. As the parts add up to the cable's length (check ``cable_length``), ``d_k + l_k = L_k -
-e_k``: the norms of legs determine the weights.
+The q-leg and the edge of cable k meet the r-leg and the edge of cable k-1 at clasp k. Each pulls on
+it along its end there (``hitchopt.hitch.taut``).
 """
 
 from __future__ import annotations
@@ -20,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, with_tolerance
+from hitchopt.checks.drone_forces import reduced_factor
 from hitchopt.checks.friction import friction_excess, leg_excess
 from hitchopt.checks.grips import bent_freely, missing_force, unbalanced
 from hitchopt.checks.objects import select
@@ -35,7 +34,8 @@ from hitchopt.checks.spans import (
 )
 from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.forces import chord_pull
+from hitchopt.hitch.forces import level_pull
+from hitchopt.hitch.taut import TautPart, taut_part
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
@@ -70,7 +70,7 @@ class ClaspSizes:
     leg_half_densities: Array  # [N/m], half of the weight of legs per length
     # [N/m], half of the weight of edges per length, without the fraction of a rim
     edge_half_densities: Array
-    weights: Array  # [N], half of the whole cable's weight, and half of the clasp's load
+    half_loads: Array  # [N], half of the clasp's load
     loads: Array  # (pieces, clasps, 3, degree + 1) [N], forces of objects
 
 
@@ -81,8 +81,7 @@ def clasp_sizes(motion: Motion) -> ClaspSizes:
     cables = both_cables(motion)
     half_density = 0.5 * GRAVITY * team.cable_density  # [N/m]
     taut = tautness(motion)
-    half_loads = 0.5 * GRAVITY * team.load[:, None]
-    weights = half_loads + half_density * team.cable_length[cables]
+    half_loads = 0.5 * GRAVITY * team.load[:, None, None]
     loads = object_loads(motion)
     if loads is None:
         loads = np.zeros((len(taut), len(cables), 3, 1))
@@ -91,7 +90,7 @@ def clasp_sizes(motion: Motion) -> ClaspSizes:
         edge_tensions(motion)[:, cables],
         half_density * taut[:, cables],
         _without_strut(motion, half_density * taut)[:, cables],
-        weights[..., None] * taut[:, cables],
+        half_loads * taut[:, cables],
         loads,
     ]
     return ClaspSizes(*without_shared_zeros(tables))
@@ -99,9 +98,10 @@ def clasp_sizes(motion: Motion) -> ClaspSizes:
 
 @cached
 def has_loads(motion: Motion) -> bool:
-    """Return whether clasps carry weight."""
+    """Return whether cables or clasps carry weight."""
     sizes = clasp_sizes(motion)
-    return bool(np.any(sizes.weights) or np.any(sizes.loads))
+    weights = sizes.leg_half_densities, sizes.half_loads, sizes.loads
+    return any(bool(np.any(weight)) for weight in weights)
 
 
 def edge_tensions(motion: Motion) -> Array:
@@ -144,13 +144,6 @@ class RollTerms(NamedTuple):
     pull: Enclosed  # The sum V of both legs' pulls [N], up to the factor of ``ClaspSizes``
 
 
-@cached
-def _has_slopes(motion: Motion) -> bool:
-    """Return whether edges slope, as those at the ends of a chain may: it has no legs there."""
-    vertices = motion.vertices.coefficients
-    return not motion.team.layout.closed and bool(np.ptp(vertices[:, :, 2]) > 0.0)
-
-
 class Clasps(MotionSpans):
     """Spans of clasps, with the forces (spans, 2) of the cables ahead and behind."""
 
@@ -187,59 +180,56 @@ class Clasps(MotionSpans):
         return Enclosed(chords.reshape(-1, 2, 2, *chords.shape[2:]), self.noise)
 
     @lazy
-    def other_legs(self) -> Enclosed:
-        """Lengths of the cables' other legs [m]."""
-        # A drone at a chain's end has no leg, regardless of its stored vector.
-        legs = leg_vectors(self.source) * self.source.team.layout.has_leg.reshape(-1, 1, 1)
-        other_ends = 1 - LEG_ENDS
-        return Enclosed(self.read(legs, 2 * self.cables + other_ends), self.noise).norm
-
-    @lazy
     def along(self) -> Enclosed:
         """Directions of legs, q̂_k and r̂_{k-1}, then of edges, u_k and -u_{k-1} (spans, 2, 2)."""
         return self.chords.direction
 
     @lazy
     def pulls(self) -> LegsAndEdges:
-        """Pulls of legs and edges along their chords [N].
-
-        An edge that is wrapped around an object sags with its whole length: the cable without legs.
-        """
-        team = self.source.team
+        """Forces of legs and edges on the clasp, vectors [N]."""
         leg_tensions = self.exact(self.sizes.legs)
         edge_tensions = self.exact(self.sizes.edges)
-        if team.cable_density == 0.0:
-            return LegsAndEdges(leg_tensions, edge_tensions)
-        leg, edge = LegsAndEdges.split(self.chords)
-        squared_edge = edge.xy.dot(edge.xy)
+        if self.source.team.cable_density == 0.0:
+            directions = LegsAndEdges.split(self.along)
+            return LegsAndEdges(directions.legs * leg_tensions, directions.edges * edge_tensions)
+        legs, edges = LegsAndEdges.split(self.chords)
+        leg = self._taut(legs, self.sizes.leg_half_densities, leg_tensions)
+        of_legs = leg.force() * leg_tensions
         if self.source.has_wraps:
-            cable_length = Enclosed(team.cable_length[self.cables][..., None, None])
-            wrapped = cable_length - leg.norm - self.other_legs
-            squared_edge = wrapped * wrapped
-        squared_level = leg.xy.dot(leg.xy)
-        leg_half_densities = self.exact(self.sizes.leg_half_densities)
-        edge_half_densities = self.exact(self.sizes.edge_half_densities)
-        return LegsAndEdges(
-            legs=chord_pull(leg_tensions, leg_half_densities, squared_level, leg[2]),
-            edges=chord_pull(
-                edge_tensions,
-                edge_half_densities,
-                squared_edge,
-                edge[2] if _has_slopes(self.source) else None,
-            ),
-        )
+            return LegsAndEdges(of_legs, self._pulls_of_wrapped(leg.length, edge_tensions))
+        edge = self._taut(edges, self.sizes.edge_half_densities, edge_tensions)
+        return LegsAndEdges(of_legs, edge.force() * edge_tensions)
+
+    def _taut(self, chords: Enclosed, half_densities: Array, tensions: Enclosed) -> TautPart:
+        """Return parts (spans, 2) from the clasp, with their tensions there."""
+        ratio = reduced_factor(self.exact(half_densities) * tensions.inverse)
+        return taut_part(chords, ratio, reduced_factor)
+
+    def _pulls_of_wrapped(self, legs: Enclosed, tensions: Enclosed) -> Enclosed:
+        """Return the forces (spans, 2) [N] of edges that are wrapped around an object.
+
+        Such an edge sags with its whole length: the cable without its legs, of lengths [m] here.
+        """
+        team = self.source.team
+        # A drone at a chain's end has no leg, regardless of its stored vector.
+        vectors = leg_vectors(self.source) * team.layout.has_leg.reshape(-1, 1, 1)
+        others = Enclosed(self.read(vectors, 2 * self.cables + (1 - LEG_ENDS)), self.noise)
+        other_legs = self._taut(others, self.sizes.leg_half_densities, self.exact(self.sizes.legs))
+        cable_length = Enclosed(team.cable_length[self.cables][..., None, None])
+        wrapped = cable_length - legs - other_legs.length
+        half_weight = self.exact(self.sizes.edge_half_densities) * wrapped
+        pull = level_pull(tensions, half_weight)
+        return LegsAndEdges.split(self.along).edges * pull - half_weight.along_z()
 
     @lazy
     def forces(self) -> Enclosed:
-        """Both cables' forces [N]: ``P_q q̂_k + P_k u_k``, ``P_r r̂_{k-1} - P_{k-1} u_{k-1}``."""
-        directions = LegsAndEdges.split(self.along)
-        return directions.legs * self.pulls.legs + directions.edges * self.pulls.edges
+        """Both cables' forces [N], each of its leg and its edge."""
+        return self.pulls.legs + self.pulls.edges
 
     @lazy
-    def weight(self) -> Enclosed:
-        """[N] Weight of both cables on the clasp."""
-        weights = self.exact(self.sizes.weights)
-        return weights - self.exact(self.sizes.leg_half_densities) * self.other_legs
+    def half_load(self) -> Enclosed:
+        """[N] Half of the clasp's load, for both cables."""
+        return self.exact(self.sizes.half_loads)
 
     @lazy
     def object_force(self) -> Enclosed:
@@ -255,23 +245,20 @@ class Clasps(MotionSpans):
 
     @lazy
     def residual(self) -> Enclosed:
-        """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and loads of objects."""
+        """The sum of all forces on the clasp [N]."""
         force = self.forces.sum()
         if has_loads(self.source):
-            force = force - self.weight.sum().along_z() + self.object_force
+            force = force - self.half_load.sum().along_z() + self.object_force
         return force
 
     @lazy
     def contact(self) -> Enclosed:
-        """Force of each cable on the other, such as ``W^k ẑ - (P_q q̂_k + P_k u_k)`` [N].
-
-        ``W^k`` is the cable's own weight at the clasp plus half of the clasp's load.
-        """
+        """Force of each cable on the other [N]: it balances the other's with half of the load."""
         if not has_loads(self.source):
             return -self.forces
         radius = np.asarray(self.object_force.r)
         object_force = Enclosed(self.object_force.c[:, None], radius[..., None])
-        return self.weight.along_z() - self.forces - object_force * 0.5
+        return self.half_load.along_z() - self.forces - object_force * 0.5
 
     @lazy
     def roll_terms(self) -> RollTerms:
@@ -281,7 +268,7 @@ class Clasps(MotionSpans):
         are proportional to ``(D·ū) V² - (D·V) (ū·V)`` and ``D·(ū × V) |V|``.
         """
         directions = LegsAndEdges.split(self.along)
-        leg_pulls = (directions.legs * self.pulls.legs).reduced(ROUGH_ORDER)
+        leg_pulls = self.pulls.legs.reduced(ROUGH_ORDER)
         q_pull = select(leg_pulls, 0)
         r_pull = select(leg_pulls, 1)
         leaving = select(directions.edges, 0)
@@ -295,9 +282,9 @@ class Clasps(MotionSpans):
 
     def rolls(self) -> Array:
         """Return the rolls (spans,) [deg] at mid span: 0 if ``q̂_k`` leans toward ``u_k``."""
-        (q, r), (edge_ahead, edge_behind) = np.moveaxis(self.along.middle, 0, 2)
-        pull_of_q, pull_of_r = np.moveaxis(self.pulls.legs.middle, 1, 0)
-        axis = unit(pull_of_q * q + pull_of_r * r)
+        edge_ahead, edge_behind = np.moveaxis(self.along.middle[:, 1], 1, 0)
+        q, r = np.moveaxis(self.pulls.legs.middle, 1, 0)
+        axis = unit(q + r)
         upward = np.cross(edge_ahead - edge_behind, axis)
         level = np.cross(axis, upward)
         rise = np.sum(q * upward, axis=-1)

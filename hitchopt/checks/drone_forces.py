@@ -1,10 +1,10 @@
 """Forces of cables on drones and thrusts: formulas over enclosed values, or over their jets.
 
 A drone of mass m needs the thrust ``f = m (a + g ẑ) - (force of its cable)``. The cable pulls along
-its leg (at a chain's end, along its edge), and the drone carries half of the weight of that part. A
-hanging cable pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ) / 2`` more than
-half of it: w its weight per length, σ its steepness (see ``hitchopt.hitch.catenary``). While a
-cable is being tightened, these forces blend by its tautness, a polynomial.
+the upper end of its leg (at a chain's end, of its edge; see ``hitchopt.hitch.taut``). A hanging
+cable pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ) / 2`` more than half of
+it: w its weight per length, σ its steepness (see ``hitchopt.hitch.catenary``). While a cable is
+being tightened, these forces blend by its tautness, a polynomial.
 
 How curves are read is not here: ``Drones`` reads values, and ``DroneJets`` their derivatives, too.
 """
@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from hitchopt.checks.spans import UPWARD, cached, pull_vectors, without_shared_zeros
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import level_length, pull_terms, steepness
-from hitchopt.hitch.forces import chord_pull
+from hitchopt.hitch.taut import taut_part
 from hitchopt.motion.loads import leg_tensions, reduce_constants, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.enclosed import Enclosed, Interval
@@ -33,6 +33,9 @@ their cable's pull is unbounded, and becomes almost infinite."""
 
 MIN_RELATIVE_SPAN = 1e-6
 """Smallest horizontal distance of a cable's drones over its length, in quotients."""
+
+TAUT_ORDER = 4
+"""Degree of factors of ``taut_part``: those of sags hardly change on spans that matter."""
 
 Q = TypeVar("Q", Enclosed, Jet)
 
@@ -76,6 +79,11 @@ def edge_sags(motion: Motion) -> SagTerms:
 def leg_sags(motion: Motion) -> SagTerms:
     """Return the terms of legs (pieces, 2n, degree + 1)."""
     return SagTerms.of(motion, taut_shares(motion), leg_tensions(motion))
+
+
+def reduced_factor(factor: Any) -> Any:
+    """Return a factor of products of ``taut_part`` in a low degree."""
+    return factor.reduced(TAUT_ORDER)
 
 
 def sagging_half_densities(motion: Motion) -> Array:
@@ -160,38 +168,20 @@ class DroneForces(ABC, Generic[Q]):
 
     @lazy
     def sag(self) -> Q:
-        """[1/m] Half of the leg's weight per length over its tension."""
+        """[1/m] Half of the leg's weight per length over its tension at the inner end."""
         half_density = self.scalar_of(sagging_half_densities)
         return (half_density * self.scalar_of(sagging_tensions).inverse).reduced(ORDER)
 
     @lazy
-    def level_pull(self) -> Q:
-        """Pull of the leg over its tension if its ends were at equal heights."""
-        pull: Q = chord_pull(1.0, self.sag, self.leg.xy.dot(self.leg.xy))
-        return pull.reduced(ORDER)
-
-    @lazy
-    def pull(self) -> Q:
-        """[N] Pull of the leg along its chord: ``chord_pull``, with T factored out."""
-        tension = self.scalar_of(tensions_of_legs)
-        if not self.has_weight:
-            return tension
-        return tension * self.level_pull + self.taut_weight * self.leg[2]
-
-    @lazy
-    def taut_weight(self) -> Q:
-        """[N/m] Half of the weight per length of taut cables."""
-        return self.half_density * self.scalar_of(taut_shares)
-
-    @lazy
     def load(self) -> Q:
         """[N] Minus the force of the cable on the drone."""
-        load = self.along * self.pull
-        if self.has_weight:
-            load = load + (self.leg.norm * self.taut_weight).along_z()
+        tension = self.scalar_of(tensions_of_legs)
+        if not self.has_weight:
+            return self.along * tension
+        load: Q = taut_part(self.leg, self.sag, reduced_factor).force(second=True) * tension
         if self.has_hanging:
             inward, downward = self.pull_terms
-            slack_weight = self.half_density - self.taut_weight
+            slack_weight = self.half_density - self.half_density * self.scalar_of(taut_shares)
             hanging = (self.partner.xy * inward).with_z(self.partner[2] * downward)
             load = load - hanging * slack_weight
             load = load + (slack_weight * self.length[:, None]).along_z()

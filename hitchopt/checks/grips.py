@@ -27,7 +27,7 @@ from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import ROUNDING, cached, joined_arrays, leg_vectors
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.forces import chord_pull
+from hitchopt.hitch.forces import level_pull
 from hitchopt.hitch.twists import bend
 from hitchopt.hitch.yaw import YawTerms, least_stiffness_of_turn
 from hitchopt.motion.loads import held_pieces, tautness
@@ -115,7 +115,7 @@ class Gripped(Held):
             taut = Enclosed(self.of_items(tautness(self.source))[:, :, None])
             half_density = taut * (0.5 * GRAVITY * team.cable_density)
             edge = Enclosed(team.cable_length[:, None, None]) - self.legs.norm.sum()
-            pull = chord_pull(pull, half_density, edge * edge)
+            pull = level_pull(pull, half_density * edge)
         return self.chords.direction * add_axis(pull) * -SIGNS
 
     @lazy

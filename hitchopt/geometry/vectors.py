@@ -35,6 +35,11 @@ def length(a: Array) -> Array:
     return lengths
 
 
+def in_space(a: Array) -> Array:
+    """Return vectors (…, 3): those of two components at the height 0."""
+    return a if a.shape[-1] == 3 else np.concatenate([a, np.zeros_like(a[..., :1])], axis=-1)
+
+
 def cross(a: Array, b: Array) -> Array:
     """Return the products a₀ b₁ - a₁ b₀ (…) of vectors (…, d), positive if b is left of a."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InputError
-from hitchopt.hitch.forces import chord_pull
-from hitchopt.hitch.model import Edge, cable_of_span, clasp_legs
+from hitchopt.hitch.model import Edge, cable_between, clasp_legs
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.series import JET, Series
 from hitchopt.hitch.team import Team
@@ -73,12 +72,11 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
         (q_leg_behind, q_leg_ahead),
         symbols["cable_length"],
         load,
-        weight,
         Series(symbols["roll"]) if rolled else None,
         equal=equal,
     )
-    r = point + legs.chords.behind * legs.directions.behind
-    q = point + legs.chords.ahead * legs.directions.ahead
+    r = point + legs.chords.behind
+    q = point + legs.chords.ahead
     pulls = [
         _pull_on_clasp(r - point, tension_behind, weight),
         _pull_on_clasp(point_behind - point, tension_behind, weight),
@@ -104,15 +102,8 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
 
 
 def _pull_on_clasp(span: Series, tension: Series, weight: Any) -> Series:
-    """Return the force [N] of a cable part on its clasp: along its chord, minus half its weight."""
-    part = cable_of_span(span, tension, weight)
-    along = span / part.chord
-    if weight is None:
-        return tension * along
-    half_weight: Series = part.cable * (0.5 * weight)
-    rise = along.row(2)
-    pull: Series = chord_pull(tension, half_weight, 1.0 - rise * rise, rise)
-    return pull * along - half_weight.upward
+    """Return the force [N] of a cable part on its clasp, from which a vector leads along it."""
+    return Edge.of(span, tension, weight).first
 
 
 LEG_INPUTS = {
@@ -129,7 +120,7 @@ def _leg_function(*, weighted: bool) -> ca.Function:
 
     Inputs are ``span`` (3, 1) [m] to the drone, ``tension`` [N] at the other end and ``weight`` of
     cables [N/m]. Outputs are ``length`` of the cable [m], ``chord`` [m] and ``force`` (3, 1) [N] on
-    the drone, by the formula of ``cable_forces``.
+    the drone, as of ``cable_forces``.
     """
     import casadi as ca
 
@@ -137,14 +128,12 @@ def _leg_function(*, weighted: bool) -> ca.Function:
     span = Series(symbols["span"])
     tension = Series(symbols["tension"])
     weight = symbols["weight"] if weighted else None
-    part = cable_of_span(span, tension, weight)
-    force = -(tension / part.chord) * span
-    if weight is not None:
-        half_density = Series(0.5 * weight)
-        level = span.row(0, 1)
-        pull = chord_pull(tension, half_density, level.dot(level), span.row(2))
-        force = -(pull / part.chord) * span - (half_density * part.chord).upward
-    outputs = {"length": part.cable.value, "chord": part.chord.value, "force": force.value}
+    part = Edge.of(span, tension, weight)
+    outputs = {
+        "length": part.cable.value,
+        "chord": span.dot(span).root.value,
+        "force": (-part.second).value,
+    }
     return ca.Function("leg", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs])
 
 
@@ -181,12 +170,12 @@ def clasp_motion(
     length_behind, length_ahead = ca.vertsplit(constants["cable_lengths"])
     weight = constants["weight"]
     if last:
-        edge = cable_of_span(
+        edge = cable_between(
             Series(shape["points"][6:] - shape["points"][3:6]),
             Series(shape["tensions"][1]),
             weight if weighted else None,
         )
-        shape["q_legs"] = ca.vertcat(shape["q_legs"][0], length_ahead - edge.cable.value)
+        shape["q_legs"] = ca.vertcat(shape["q_legs"][0], length_ahead - edge.value)
     clasp = clasp_function(weighted=weighted, loaded=loaded, rolled=rolled, equal=equal)
     legs = clasp(**shape, cable_length=length_behind, load=constants["load"], weight=weight)
     motion = _motion(ca.horzcat(legs["r"], legs["q"]), list(jets.values()))

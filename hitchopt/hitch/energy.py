@@ -4,10 +4,10 @@ Nodes are the drones q0, r0, q1, …, then the clasps. Every cable connects four
 clasp, drone. At the end of a chain without a leg the drone also takes the place of the clasp, and
 the span between the two does not exist.
 
-A hanging span with chord v, chord length s, horizontal length h and tension m at the height of the
-chord's midpoint has the energy ``∫ (tension) ds``. To second order in its weight per length w over
-m this is ``E(v, m) = m s - w² s h²/(24 m)``. Its derivative with respect to m is the arc length ``s
-+ w² s h²/(24 m²)``, that with respect to v the force on the ends without half of the weight. The
+A hanging span with chord v, chord length s, level length D, height h and tension m at the height of
+the chord's midpoint has the energy ``∫ (tension) ds``, which is ``E(v, m) = m (D²/BL + L + h²/L) /
+2`` with the terms of ``hitchopt.hitch.taut``. Its derivative with respect to m is the arc length L,
+that with respect to v the force on the ends without half of the weight, ``(m/L) (D/B, h)``. The
 tension grows with height: ``m = T + w (z - z₀)``, where z is the height of the chord's midpoint and
 T is the same for all spans of a cable. With the cable's length L and its stretch ``a (T - T₀)`` the
 energy of a cable is the maximum over T of ``Σ E(v, m) - T L - a (T - T₀)²/2``, where arcs and
@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.taut import LARGEST_SMALL, sag_of, steep_sag_of
 from hitchopt.hitch.team import Team
 from hitchopt.hitch.twists import bend
 from hitchopt.values import Array, Indices
@@ -40,9 +41,12 @@ AXIAL_STIFFNESS = 1e4
 """[N] EA of a braided polyethylene line of 1 mm. Without stretch, tensions of rigid drones would be
 undetermined."""
 
-SAG_RATIO = 4.0
-"""A cable is slack if a horizontal span of its largest length would sag by more than the chord over
-this."""
+SLACK_RATIO = 0.95
+"""A cable is slack below this ratio of its tension to the weight of its longest span at first: level
+spans of that length then sag by a sixth of it."""
+
+LARGEST_SAG = 0.43
+"""Largest ``(w D / 2m)²``, D the level length of a span that grew since: catenaries end at 0.439."""
 
 TENSION_TOLERANCE = 1e-10  # Relative tolerance of a cable's tension
 TENSION_ITERATIONS = 100  # Largest number of iterations of a cable's tension
@@ -86,6 +90,16 @@ class Spans(NamedTuple):
     def directions(self) -> Any:
         """(…, S, n, 3, 3): unit vectors, zero where a span does not exist."""
         return self.chords / np.where(self.lengths.real > 0.0, self.lengths, 1.0)[..., None]
+
+
+class Arcs(NamedTuple):
+    """Spans (…, S, n, 3) as taut cables."""
+
+    lengths: Any  # [m], L
+    softness: Any  # [m/N], minus the derivative of L with respect to the tension
+    energies: Any  # [J], E
+    level_pulls: Any  # [N/m], level force over the level chord
+    rise_pulls: Any  # [N/m], vertical force over the rise, without half of the weight
 
 
 class CableForces(NamedTuple):
@@ -162,32 +176,70 @@ class HitchEnergy:
         """
         spans = self.spans(ends)
         m = T[..., None] + self.weight * spans.heights
-        sag, bounded_m = self._sag(m)
-        sag_energy = -sag * (2.0 * bounded_m - m)  # derivative of the energy by s h²
-        squared_level = spans.chords[..., 0] ** 2 + spans.chords[..., 1] ** 2
-        directions = spans.directions
-        pulls = (m + sag_energy * squared_level)[..., None] * directions
-        pulls[..., :2] += (2.0 * sag_energy * spans.lengths)[..., None] * spans.chords[..., :2]
-        arcs = spans.lengths * (1.0 + sag * squared_level)
-        span_energies = spans.lengths * (m + sag_energy * squared_level)
+        arcs = self._arcs(spans, m)
+        span_energies = arcs.energies
+        pulls = np.concatenate(
+            [
+                arcs.level_pulls[..., None] * spans.chords[..., :2],
+                (arcs.rise_pulls * spans.chords[..., 2])[..., None],
+            ],
+            axis=-1,
+        )
         energies = np.sum(span_energies, axis=-1) - T * self.lengths
         excess_tension = T - self.reference
         energies = energies - 0.5 * self.compliance * excess_tension * excess_tension
         if np.any(friction):
-            pulls[..., 0::2, :] *= np.exp(friction * self._bends(directions))[..., None]
+            pulls[..., 0::2, :] *= np.exp(friction * self._bends(spans.directions))[..., None]
         on_ends = np.zeros(ends.shape, dtype=pulls.dtype)
         on_ends[..., 1:, :] += pulls
         on_ends[..., :-1, :] -= pulls
-        on_ends[..., 1:, 2] += 0.5 * self.weight * arcs
-        on_ends[..., :-1, 2] += 0.5 * self.weight * arcs
-        return CableForces(on_ends, np.sum(arcs, axis=-1), energies)
+        on_ends[..., 1:, 2] += 0.5 * self.weight * arcs.lengths
+        on_ends[..., :-1, 2] += 0.5 * self.weight * arcs.lengths
+        return CableForces(on_ends, np.sum(arcs.lengths, axis=-1), energies)
 
-    def _sag(self, m: Any) -> tuple[Any, Any]:
-        """Return derivatives of arcs by s h², and tensions m (…, 3) [N] bounded from below."""
+    def _arcs(self, spans: Spans, m: Any) -> Arcs:
+        """Return the arcs of spans with tensions m (…, 3) [N] at the heights of their midpoints.
+
+        Below the tension at which a cable becomes slack, arcs keep their lengths and energies are
+        linear in the tension.
+        """
+        if not self.weight:
+            pulls = m / np.where(spans.lengths.real > 0.0, spans.lengths, 1.0)
+            return Arcs(spans.lengths, np.zeros(m.shape), m * spans.lengths, pulls, pulls)
         slack = self.slack_tension[..., None]
-        bounded_m = np.where(m.real > slack, m, slack)
-        sag = self.weight**2 / 24.0 / np.where(bounded_m.real > 0.0, bounded_m, 1.0) ** 2
-        return sag, bounded_m
+        bounded = np.where(m.real > slack, m, slack)
+        bounded = np.where(bounded.real > 0.0, bounded, 1.0)
+        squared_level = spans.chords[..., 0] ** 2 + spans.chords[..., 1] ** 2
+        squared_rise = spans.chords[..., 2] ** 2
+        squared_weight = (0.5 * self.weight / bounded) ** 2
+        of_level = squared_level * squared_weight
+        of_level = np.where(of_level.real < LARGEST_SAG, of_level, LARGEST_SAG)
+        of_rise = squared_rise * squared_weight
+        is_small = np.max((of_level + of_rise).real) < LARGEST_SMALL
+        sag = (sag_of if is_small else steep_sag_of)(of_level, of_rise)
+        exists = self.exist
+        lengths = np.sqrt(np.where(exists, squared_rise + squared_level * sag.stretch, 1.0))
+        level = squared_level / (sag.bulge * lengths)
+        energies = 0.5 * bounded * (level + lengths + squared_rise / lengths)
+        rise_pulls = bounded / lengths
+        level_pulls = rise_pulls / sag.bulge
+        share = of_level * sag.stretch_slope
+        share = share / (1.0 - share)  # minus the elasticity of the length to the tension
+        missing = m - bounded
+        if np.any(missing.real < 0.0):
+            softer = missing / bounded
+            of_x = -2.0 * (1.0 + share)
+            of_bulge = of_x * sag.x * sag.bulge_slope / sag.bulge
+            energies = energies + lengths * missing
+            level_pulls = level_pulls * (1.0 + softer * (1.0 + share - of_bulge))
+            rise_pulls = rise_pulls * (1.0 + softer * (1.0 + share))
+        return Arcs(
+            np.where(exists, lengths, 0.0),
+            np.where(exists, lengths * share / bounded, 0.0),
+            np.where(exists, energies, 0.0),
+            np.where(exists, level_pulls, 0.0),
+            np.where(exists, rise_pulls, 0.0),
+        )
 
     def tensions(self, positions: Array) -> Array:
         """Return T (S, n) [N] for which cables have their lengths.
@@ -201,16 +253,12 @@ class HitchEnergy:
         lowest = np.maximum(self.slack_tension, missing / self.compliance)
         if not self.weight:
             return np.asarray(lowest)
-        level = spans.chords[..., :2]
-        bulges = self.weight**2 / 24.0 * spans.lengths * np.sum(level * level, axis=-1)
         by_heights = self.weight * spans.heights
-        slack = self.slack_tension[..., None]
         T = np.maximum(lowest, self.reference)
         for _ in range(TENSION_ITERATIONS):
-            m = np.maximum(T[..., None] + by_heights, slack)
-            arcs = bulges / (m * m)
-            excess = missing - self.compliance * T + arcs.sum(axis=-1)
-            slope = self.compliance + 2.0 * (arcs / m).sum(axis=-1)
+            arcs = self._arcs(spans, T[..., None] + by_heights)
+            excess = missing - self.compliance * T + np.sum(arcs.lengths, axis=-1) - chord_sum
+            slope = self.compliance + np.sum(arcs.softness, axis=-1)
             previous = T
             T = np.maximum(lowest, T + excess / slope)
             if (np.abs(T - previous) <= TENSION_TOLERANCE * T).all():
@@ -454,7 +502,7 @@ def energy_of(
         compliance=team.cable_length / conditions["axial_stiffness"],
         reference=samples["tensions"],
         heights=edge_heights,
-        slack_tension=weight * SAG_RATIO / 8.0 * longest,
+        slack_tension=SLACK_RATIO * weight * longest,
     )
 
 

@@ -24,9 +24,10 @@ from numpy.typing import ArrayLike
 
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InfeasibleError, Violation, rounded_up
-from hitchopt.geometry.vectors import length, unit
+from hitchopt.geometry.vectors import in_space, length, unit
 from hitchopt.hitch.catenary import Catenary, pull_terms
 from hitchopt.hitch.series import Series
+from hitchopt.hitch.taut import taut_chord, taut_part
 from hitchopt.hitch.team import CLOSED, Layout, Team, layout_of
 from hitchopt.values import Array
 
@@ -34,30 +35,16 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 
-def chord_pull(tension: Any, half_weight: Any, level: Any = 1.0, rise: Any = None) -> Any:
-    """Return the pull ``P`` of a cable part along its chord [N].
+def level_pull(tension: Any, half_weight: Any) -> Any:
+    """Return the level part [N] of a tension at an end of an edge, whose ends are at one height.
 
-    Half of the part's weight w acts at each end. On the end where its tension is T the part exerts
-    ``P ê - (w/2) ẑ``, where ê points along the chord, at the angle γ above horizontal: ``P = (w/2)
-    sin γ + √(T² - (w/2)² cos² γ)``. The root is zero if T is less than half of the weight's share.
+    Half of the edge's weight [N] acts at each end. It is zero if the tension does not bear that.
     The arguments are arrays, or any type with products and a ``root``: series, enclosures.
-
-    Parameters
-    ----------
-    tension: at the end [N].
-    half_weight: half of the weight per length [N/m].
-    level: squared horizontal length of the chord [m²].
-    rise: height of the chord's other end over this one [m]; None for edges, whose tension is the
-        same at both ends, so that only the root remains.
     """
-    squared_pull = tension * tension - half_weight * half_weight * level
+    squared_pull = tension * tension - half_weight * half_weight
     if isinstance(squared_pull, (float, np.ndarray)):
-        pull = np.sqrt(np.maximum(squared_pull, 0.0))
-    else:
-        pull = squared_pull.root
-    if rise is None:
-        return pull
-    return half_weight * rise + pull
+        return np.sqrt(np.maximum(squared_pull, 0.0))
+    return squared_pull.root
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,42 +52,53 @@ class ClaspLoads:
     """Loads of the clasps of a hitch, and roll of their legs out of the plane."""
 
     forces: Array  # (…, clasps, 3) [N], external forces ``w_k``; a weight points down
-    # (…, clasps, 2) [N], half of the weights of the legs of ``r_{k-1}`` and ``q_k``
-    half_leg_weights: Array
     roll: Array  # (…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``
+    # (…, clasps, 2) [N], half of the weights of edges k-1 and k, which reduce their level pull
     half_edge_weights: Array
-    """(…, clasps, 2) [N], half of the weights of edges k-1 and k, which reduce their pull along the
-    chord below the tension."""
 
 
-def sag_factors(team: Team, tensions: ArrayLike) -> Array:
-    """Return ``(ρ g / T)² / 24`` of every cable (…, n) [1/m²]: excess length over chord cubed."""
-    ratio = GRAVITY * team.cable_density / np.asarray(tensions, dtype=np.float64)
-    factors: Array = ratio * ratio / 24.0
-    return factors
+def weight_ratios(team: Team, tensions: ArrayLike) -> Array:
+    """Return half of the weight per length of every cable over its tension (…, n) [1/m]."""
+    half_density = 0.5 * GRAVITY * team.cable_density
+    ratios: Array = half_density / np.asarray(tensions, dtype=np.float64)
+    return ratios
 
 
-def cable_of(chords: Array, factors: Array) -> Array:
-    """Return the cable length (…) [m] of spans with chords (…, 3 or 2) [m]; level if planar."""
-    level = chords[..., 0] ** 2 + chords[..., 1] ** 2
-    return length(chords) * (1.0 + factors * level)
+def cable_of(chords: Array, ratios: Array) -> Array:
+    """Return the cable length (…) [m] of parts with chords (…, 3 or 2) [m]; level if planar.
 
-
-def shortening(excess: Any) -> Any:
-    """Return the chord of a span over its cable length, an array or Series.
-
-    It solves ``s (1 + c s² cos²α) = a`` for the chord s of the cable length a, by a power series of
-    the relative excess ``c a² cos²α``, which is below 1e-2 in practice.
+    ``ratios`` (…) are ``weight_ratios`` for the tensions at the start of the chords.
     """
-    return 1.0 - excess * (1.0 - excess * (3.0 - excess * (12.0 - 55.0 * excess)))
+    if not np.any(ratios):
+        return length(chords)
+    chord = Series.of_vectors(in_space(chords))
+    cables: Array = taut_part(chord, _constant(ratios)).length.value[0]
+    return cables
 
 
-def leg_vectors(cables: Array, directions: Array, factors: Array) -> Array:
-    """Return the chords (…, 2 or 3) [m] of legs with cable lengths (…) [m] along unit vectors."""
-    level = directions[..., 0] ** 2 + directions[..., 1] ** 2
-    chord_lengths = cables * shortening(factors * cables**2 * level)
-    chords: Array = chord_lengths[..., None] * directions
-    return chords
+def leg_vectors(cables: Array, directions: Array, ratios: Array) -> Array:
+    """Return the chords (…, 2 or 3) [m] of legs with cable lengths (…) [m].
+
+    Directions are those at the clasp, unit vectors; ``ratios`` (…) are ``weight_ratios``.
+    """
+    if not np.any(ratios):
+        return cables[..., None] * directions
+    along = Series.of_vectors(directions)
+    chord = taut_chord(along, _constant(cables), _constant(np.broadcast_to(ratios, cables.shape)))
+    return np.moveaxis(chord.value, 0, -1)
+
+
+def starting_directions(chords: Array, ratios: Array) -> Array:
+    """Return the directions (…, 3) in which parts with chords (…, 3) [m] leave their first ends.
+
+    ``ratios`` (…) are ``weight_ratios`` for the tensions there.
+    """
+    if not np.any(ratios):
+        return unit(chords)
+    part = taut_part(
+        Series.of_vectors(chords), _constant(np.broadcast_to(ratios, chords.shape[:-1]))
+    )
+    return unit(np.moveaxis(part.force().value, 0, -1))
 
 
 def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) -> Array:
@@ -109,44 +107,36 @@ def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) 
     Tensions are (…, n) [N]; None for those of the team.
     """
     cable_tensions = team.tension if tensions is None else tensions
-    edge_cables = cable_of(edges, sag_factors(team, cable_tensions))
+    edge_cables = cable_of(edges, weight_ratios(team, cable_tensions))
     slack: Array = team.cable_length - edge_cables
     return slack
 
 
-def clasp_loads(
-    team: Team, q_legs: Array, slack: Array, roll: ArrayLike | None = None
-) -> ClaspLoads | None:
+def clasp_loads(team: Team, slack: Array, roll: ArrayLike | None = None) -> ClaspLoads | None:
     """Return the clasp loads of a hitch at full tension; None without loads and roll.
 
-    A clasp carries half of its legs and of its edges, ``W_k = ½ ρ g (d_k + l_k + e_{k-1} +
-    l_{k-1}) + g · load``, in cable lengths: ``d_k + l_k`` is ``L_k - e_k``.
+    A clasp carries half of both edges, ``½ ρ g (l_{k-1} + l_k) + g · load`` in cable lengths
+    ``l_k``; the weight of its legs turns these upward on their way to the drones.
 
     Parameters
     ----------
-    q_legs, slack: (…, n) [m], cable lengths.
+    slack: (…, n) [m], cable lengths.
     roll: (…, clasps) [rad], or None.
     """
     if not team.loaded and (roll is None or not np.any(roll)):
         return None
     layout = team.layout
-    half_density = 0.5 * GRAVITY * team.cable_density  # [N/m]
-    r_legs = np.where(layout.has_leg[:, 1], slack - q_legs, 0.0)
-    edges = team.cable_length - slack
-    # The q-leg and the edge of the cable ahead meet the edge and the r-leg of the cable behind.
-    weight_ahead = half_density * (team.cable_length - r_legs)[..., layout.ahead]
-    weight_behind = half_density * (team.cable_length - q_legs)[..., layout.behind]
-    forces = np.zeros((*weight_ahead.shape, 3))
-    forces[..., 2] = -(weight_ahead + weight_behind + GRAVITY * team.load)
-    legs_of_clasps = np.stack([r_legs[..., layout.behind], q_legs[..., layout.ahead]], axis=-1)
-    half_edges = half_density * edges
-    edges_of_clasps = [half_edges[..., layout.behind], half_edges[..., layout.ahead]]
+    half_edges = 0.5 * GRAVITY * team.cable_density * (team.cable_length - slack)
+    half_edge_weights = np.stack(
+        [half_edges[..., layout.behind], half_edges[..., layout.ahead]], -1
+    )
+    forces = np.zeros((*half_edge_weights.shape[:-1], 3))
+    forces[..., 2] = -(np.sum(half_edge_weights, axis=-1) + GRAVITY * team.load)
     angles = np.asarray(0.0 if roll is None else roll, dtype=np.float64)
     return ClaspLoads(
         forces=forces,
-        half_leg_weights=half_density * legs_of_clasps,
-        roll=np.broadcast_to(angles, weight_ahead.shape),
-        half_edge_weights=np.stack(edges_of_clasps, axis=-1),
+        roll=np.broadcast_to(angles, forces.shape[:-1]),
+        half_edge_weights=half_edge_weights,
     )
 
 
@@ -162,28 +152,21 @@ def closed_triangle(
     onward: Series,
     roll: Series | None,
     tensions: LegPair,
-    half_weights: LegPair | None,
     check: Callable[[Any, Any, Any], None] | None = None,
 ) -> LegPair:
-    r"""Return the directions of the legs r_{k-1} and q_k that hold a clasp in balance.
+    r"""Return the directions of the legs r_{k-1} and q_k, at the clasp that they hold in balance.
 
-    ``P_q q̂_k = a v̂ + h m`` and ``P_r r̂_{k-1} = (|V| - a) v̂ - h m`` close a triangle with the given
-    side V. Its height h over that side has its foot at ``a = (|V|² + P_q² - P_r²) / (2 |V|)``, and
-    ``h = √(P_q² - a²)``. Without load and roll the clasp is planar, and for equal tensions it is in
+    ``T_q q̂_k = a v̂ + h m`` and ``T_r r̂_{k-1} = (|V| - a) v̂ - h m`` close a triangle with the given
+    side V. Its height h over that side has its foot at ``a = (|V|² + T_q² - T_r²) / (2 |V|)``, and
+    ``h = √(T_q² - a²)``. Without load and roll the clasp is planar, and for equal tensions it is in
     the paper's class (its eq. (3)).
-
-    The pull of a leg with weight depends on its rise (``chord_pull``): minus half of its weight,
-    downward, it is the tension at the clasp, of known magnitude. In the plane of both legs the
-    triangle then closes with the tensions' parts in the plane as sides, and with V minus the parts
-    of both weights.
 
     Parameters
     ----------
-    V: ``P_{k-1} u_{k-1} - P_k u_k - w_k``, the pull of the edges minus the load [N].
+    V: the pull of the edges minus the load [N].
     onward: a vector on q_k's side of V without roll, in the plane of both legs.
     roll: angle ψ of m from that side toward ``m_1 = m_0 × v̂`` [rad]; None if there is none.
     tensions: of both legs at the clasp [N].
-    half_weights: half of the weights of both legs [N]; None for weightless legs.
     check: called with the values of the given side and of the lengths of both others; raises if
         there is no triangle. Without it directions are nan there.
     """
@@ -193,46 +176,14 @@ def closed_triangle(
     if roll is not None:
         cosine, sine = roll.cosine_and_sine
         across = cosine * across + sine * across.cross(along)
-    pull_behind, pull_ahead = tensions
-    if half_weights is not None:
-        normal = along.cross(across)
-        rise = normal.row(2)
-        weight_behind = _weight_in_plane(half_weights.behind, rise, normal)
-        weight_ahead = _weight_in_plane(half_weights.ahead, rise, normal)
-        pull_behind = _tension_in_plane(tensions.behind, half_weights.behind, rise)
-        pull_ahead = _tension_in_plane(tensions.ahead, half_weights.ahead, rise)
-        V = V - weight_behind - weight_ahead
-        size = V.dot(V).root
-        along = V / size
-        across = normal.cross(along)
+    behind, ahead = tensions
     if check is not None:
-        check(V.value, pull_behind.value, pull_ahead.value)
-    foot = 0.5 * (size + (pull_ahead - pull_behind) * (pull_ahead + pull_behind) / size)
-    height = ((pull_ahead - foot) * (pull_ahead + foot)).root
+        check(V.value, behind.value, ahead.value)
+    foot = 0.5 * (size + (ahead - behind) * (ahead + behind) / size)
+    height = ((ahead - foot) * (ahead + foot)).root
     side_behind = (size - foot) * along - height * across
     side_ahead = foot * along + height * across
-    if half_weights is None:
-        return LegPair(side_behind / pull_behind, side_ahead / pull_ahead)
-    return LegPair(
-        behind=(side_behind + weight_behind).direction,
-        ahead=(side_ahead + weight_ahead).direction,
-    )
-
-
-def _weight_in_plane(half_weight: Series, rise: Series, normal: Series) -> Series:
-    """Return half of a leg's weight, as an upward vector, projected to the plane of both legs.
-
-    ``rise`` is the z component of the plane's normal.
-    """
-    return half_weight.upward - half_weight * rise * normal
-
-
-def _tension_in_plane(tension: Series, half_weight: Series, rise: Series) -> Series:
-    """Return the size of a leg's tension at the clasp, projected to the plane of both legs.
-
-    Across the plane, whose normal has the z component ``rise``, it balances half of its weight.
-    """
-    return (tension * tension - half_weight * half_weight * rise * rise).root
+    return LegPair(side_behind / behind, side_ahead / ahead)
 
 
 def leg_directions(
@@ -244,6 +195,8 @@ def leg_directions(
     leg_pulls: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the directions of the legs that hold a hitch in balance (``closed_triangle``).
+
+    Those are the directions at the clasps, from which sagging legs turn upward.
 
     Parameters
     ----------
@@ -267,8 +220,8 @@ def leg_directions(
     edge_tensions = np.broadcast_to(np.asarray(tensions, dtype=np.float64), edges.shape[:-1])
     layout = layout_of(edges.shape[-2], topology)
     behind, ahead = layout.behind, layout.ahead
-    if loads is not None and edges.shape[-1] == 2:
-        edges = np.concatenate([edges, np.zeros_like(edges[..., :1])], axis=-1)
+    if loads is not None:
+        edges = in_space(edges)
     leaving_ahead = edges[..., ahead, :]
     arriving_behind = (edges if arriving is None else arriving)[..., behind, :]
     tension_behind = edge_tensions[..., behind]
@@ -277,8 +230,8 @@ def leg_directions(
         edge_pull_behind = tension_behind
         edge_pull_ahead = tension_ahead
     else:
-        edge_pull_behind = chord_pull(tension_behind, loads.half_edge_weights[..., 0])
-        edge_pull_ahead = chord_pull(tension_ahead, loads.half_edge_weights[..., 1])
+        edge_pull_behind = level_pull(tension_behind, loads.half_edge_weights[..., 0])
+        edge_pull_ahead = level_pull(tension_ahead, loads.half_edge_weights[..., 1])
     if leg_pulls is not None:
         tension_behind = leg_pulls[..., behind, 1]
         tension_ahead = leg_pulls[..., ahead, 0]
@@ -296,21 +249,15 @@ def leg_directions(
         edge_pull_behind[..., None] * arriving_behind - edge_pull_ahead[..., None] * leaving_ahead
     )
     roll = None
-    half_weights = None
     if loads is not None:
         held = held - loads.forces
         roll = _constant(loads.roll)
-        half_weights = LegPair(
-            behind=_constant(loads.half_leg_weights[..., 0]),
-            ahead=_constant(loads.half_leg_weights[..., 1]),
-        )
     with np.errstate(all="ignore"):  # V vanishes where equal tensions pull straight on
         directions = closed_triangle(
             Series.of_vectors(held),
             Series.of_vectors(leaving_ahead + arriving_behind),
             roll,
             LegPair(_constant(tension_behind), _constant(tension_ahead)),
-            half_weights,
             None if planar else partial(_check_balance, layout, loads),
         )
     r_directions = np.moveaxis(directions.behind.value, 0, -1)
@@ -449,9 +396,8 @@ def hanging_tensions(team: Team, routes: Array) -> Array:
 def cable_forces(team: Team, drones: Array, points: Array, pulls: Array, taut: Array) -> Array:
     """Return the forces (…, 2n, 3) [N] of cables on drones, from hanging (taut = 0) to taut (1).
 
-    A leg pulls its drone toward its point, the vertex, with ``chord_pull`` (without a leg, at a
-    chain's end, the edge pulls toward the next vertex) and puts half of its weight on the drone;
-    the clasps carry the rest. While tensions rise from 0, the share ``taut`` of all weights,
+    A leg (without one, at a chain's end, the edge) pulls its drone along its upper end
+    (``taut_part``). While tensions rise from 0, the share ``taut`` of all weights,
     including loads, moves from hanging to taut cables: the ratio of weights to tensions stays
     constant, and no force jumps.
 
@@ -464,18 +410,17 @@ def cable_forces(team: Team, drones: Array, points: Array, pulls: Array, taut: A
     if not team.has_cables:
         return np.zeros(drones.shape)
     chords = drones - points
+    if team.cable_density == 0.0:
+        # Legs of zero length exert no force; certified plans have none.
+        return np.asarray(0.0 - pulls[..., None] * unit(chords))  # no negative zeros
     taut_share = np.repeat(taut, 2, axis=-1)
     half_weight = 0.5 * GRAVITY * team.cable_density * taut_share  # [N/m]
-    chord_pulls = pulls
-    if team.cable_density > 0.0:
-        level = chords[..., 0] ** 2 + chords[..., 1] ** 2
-        chord_pulls = chord_pull(pulls, half_weight, level, chords[..., 2])
-    # Legs of zero length exert no force; certified plans have none.
-    forces: Array = 0.0 - chord_pulls[..., None] * unit(chords)  # no negative zeros
-    if team.cable_density > 0.0:
-        forces[..., 2] -= half_weight * length(chords)
-        if np.any(taut_share < 1.0):
-            forces += (1.0 - taut_share)[..., None] * hanging_forces(team, drones)
+    ratios = np.divide(half_weight, pulls, out=np.zeros(chords.shape[:-1]), where=pulls > 0.0)
+    part = taut_part(Series.of_vectors(chords), _constant(ratios))
+    upper_end = np.moveaxis(part.force(second=True).value, 0, -1)
+    forces: Array = 0.0 - pulls[..., None] * upper_end
+    if np.any(taut_share < 1.0):
+        forces += (1.0 - taut_share)[..., None] * hanging_forces(team, drones)
     return forces
 
 

@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import Circumstance, InfeasibleError, InputError, Violation, short
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.forces import (
     cable_forces,
     cable_slack_of,
     clasp_loads,
     leg_directions,
-    sag_factors,
-    shortening,
+    leg_vectors,
+    weight_ratios,
 )
 from hitchopt.hitch.least_roll import least_roll, split_with_least_roll
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
@@ -317,11 +318,9 @@ class Hitch(ByValue):
 
         They are zero at a chain's ends, and less than the cable lengths if cables sag.
         """
-        lengths = self.team.layout.legs_of(self.q_legs, self.slack)
-        steep = np.stack(self._directions, axis=1)[..., 2]
-        factors = sag_factors(self.team, self.team.tension)[:, None]
-        chords: Array = lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
-        return _frozen(chords)
+        if self.team.cable_density == 0.0:
+            return _frozen(self.team.layout.legs_of(self.q_legs, self.slack))
+        return _frozen(length(self._chords))
 
     @property
     def fractions(self) -> Array:
@@ -341,22 +340,34 @@ class Hitch(ByValue):
 
         At a chain's ends, which have no leg, they point outward along the edge.
         """
-        return np.stack(self._directions, axis=1).reshape(-1, 3)
+        along_cables = np.stack(self._directions, axis=1)
+        if self.team.cable_density == 0.0:
+            return along_cables.reshape(-1, 3)
+        return unit(self._chords, along_cables).reshape(-1, 3)
 
     @cached_property
     def _directions(self) -> tuple[Array, Array]:
-        """Directions (n, 3) of the legs of q_k and of r_k."""
+        """Directions (n, 3) of the legs of q_k and of r_k at their vertices."""
         team = self.team
-        loads = clasp_loads(team, self.q_legs, self.slack, self.roll)
+        loads = clasp_loads(team, self.slack, self.roll)
         edge_directions = np.zeros((team.robots, 3))
         edge_directions[:, :2] = self.polygon.edge_directions
         return leg_directions(edge_directions, team.tension, team.topology, loads)
 
     @cached_property
+    def _chords(self) -> Array:
+        """(n, 2, 3) [m]: vectors from vertices to q_k and r_k."""
+        cables = self.team.layout.legs_of(self.q_legs, self.slack)
+        along_cables = np.stack(self._directions, axis=1)
+        return leg_vectors(
+            cables, along_cables, weight_ratios(self.team, self.team.tension)[:, None]
+        )
+
+    @cached_property
     def drones(self) -> Array:
         """(2n, 3) [m]: ``q_k = p_k + d_k q̂_k`` and ``r_k = p_{k+1} + e_k r̂_k``."""
         anchors = self.vertices[self.team.layout.anchors]
-        return _frozen(anchors + self.legs.reshape(-1, 1) * self.leg_directions)
+        return _frozen(anchors + self._chords.reshape(-1, 3))
 
     @property
     def cable_forces(self) -> Array:

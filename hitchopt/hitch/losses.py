@@ -2,9 +2,9 @@
 
 Where cable k is gone, its clasps vanish. A neighbouring cable c = k ± 1 bent there; now it is
 straight from its other clasp to its drone beyond. That clasp f needs the same force from it as
-before: with the pull P of the edge along its direction ê, and weights w of the edge and w' of edge
-and leg together, the cable's chord leads from f along ``P ê + (w' - w)/2 ẑ``. All other vertices
-and drones stay where they are, at the same tensions: exact for weights, unequal tensions and roll.
+before, so the cable leaves f in the edge's direction there, with the length of edge and leg. All
+other vertices and drones stay where they are, at the same tensions: exact for weights, unequal
+tensions and roll.
 
 Between the loss and the new balance a drone of mass m, with gains kp and kd and the planned pull T
 fed forward, deviates by at most ``(T/kp) coth(π ζ / 2 √(1 - ζ²))``, ζ = kd / 2 √(kp m) (T/kp from ζ
@@ -19,8 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hitchopt.drones.quadrotor import GRAVITY
-from hitchopt.hitch.forces import cable_of, chord_pull, leg_vectors, sag_factors
+from hitchopt.hitch.forces import cable_of, leg_vectors, starting_directions, weight_ratios
 from hitchopt.hitch.team import Layout, Team
 from hitchopt.values import Array, Indices
 
@@ -82,19 +81,12 @@ def places_after_loss(
     losses = Losses.of(team.layout)
     cable = losses.drone // 2
     pulls = tensions[..., cable]
-    factors = sag_factors(team, pulls)
+    ratios = weight_ratios(team, pulls)
     clasps = vertices[..., losses.clasp, :]
     far = vertices[..., losses.far, :]
     edges = clasps - far
-    edge_cables = cable_of(edges, factors)
-    cables = edge_cables + cable_of(drones[..., losses.drone, :] - clasps, factors)
-    half_density = 0.5 * GRAVITY * team.cable_density
-    squares = np.sum(edges[..., :2] ** 2, axis=-1)
-    pull = chord_pull(pulls, half_density, squares)
-    along = pull[..., None] * edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    along[..., 2] += half_density * (cables - edge_cables)
-    directions = along / np.linalg.norm(along, axis=-1, keepdims=True)
-    return far + leg_vectors(cables, directions, factors), cables
+    cables = cable_of(edges, ratios) + cable_of(drones[..., losses.drone, :] - clasps, ratios)
+    return far + leg_vectors(cables, starting_directions(edges, ratios), ratios), cables
 
 
 def displacements(team: Team) -> Array:

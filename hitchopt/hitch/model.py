@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hitchopt.drones.quadrotor import GRAVITY
-from hitchopt.hitch.forces import LegPair, cable_forces, chord_pull, closed_triangle, shortening
+from hitchopt.hitch.forces import LegPair, cable_forces, closed_triangle
 from hitchopt.hitch.series import JET, Series
+from hitchopt.hitch.taut import taut_chord, taut_part
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
 
@@ -26,49 +27,44 @@ class Edge:
 
     along: Series  # Its direction
     cable: Series  # [m], its cable length
-    pull: Series  # [N], along its chord
+    first: Series  # [N], the tension at its first end, a vector toward the second one
+    second: Series  # [N], the tension at its second end
     tension: Series  # [N], of its cable
-    sag: Any  # [1/m²], factor of ``forces.cable_of`` for its cable; None without weight.
+    ratio: Any  # [1/m], half of the weight per length over the tension; None without weight
 
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
         """Return the edge along a vector; ``weight`` is that of cables [N/m], or None."""
-        span = cable_of_span(vector, tension, weight)
-        pull = tension if weight is None else chord_pull(tension, span.cable * (0.5 * weight))
-        return cls(vector / span.chord, span.cable, pull, tension, span.sag)
+        chord = vector.dot(vector).root
+        along = vector / chord
+        if weight is None:
+            pull = tension * along
+            return cls(along, chord, pull, pull, tension, None)
+        ratio = tension.constant(0.5 * weight) / tension
+        part = taut_part(vector, ratio)
+        first, second = tension * part.force(), tension * part.force(second=True)
+        return cls(along, part.length, first, second, tension, ratio)
 
     def select(self, index: Indices) -> Edge:
         """Return the edges at some indices."""
-        tension = self.tension.select(index)
-        pull = tension if self.pull is self.tension else self.pull.select(index)
-        sag = None if self.sag is None else self.sag.select(index)
-        return Edge(self.along.select(index), self.cable.select(index), pull, tension, sag)
+        ratio = None if self.ratio is None else self.ratio.select(index)
+        parts = self.along, self.cable, self.first, self.second, self.tension
+        return Edge(*(part.select(index) for part in parts), ratio)
 
 
-class CableSpan(NamedTuple):
-    """A cable between two points."""
-
-    cable: Series  # [m], its length
-    chord: Series  # [m], distance of the points
-    sag: Any  # [1/m²], factor of ``forces.cable_of``; None without weight.
-
-
-def cable_of_span(vector: Series, tension: Series, weight: Any) -> CableSpan:
-    """Return the cable along a vector [m]; ``weight`` is that of cables [N/m], or None."""
-    chord = vector.dot(vector).root
+def cable_between(vector: Series, tension: Series, weight: Any) -> Series:
+    """Return the length [m] of a cable along a vector; ``weight`` [N/m] is None without one."""
     if weight is None:
-        return CableSpan(chord, chord, None)
-    sag = tension.constant(weight * weight / 24.0) / (tension * tension)
-    level = vector.row(0, 1)
-    cable = chord + chord * sag * level.dot(level)
-    return CableSpan(cable, chord, sag)
+        return vector.dot(vector).root
+    length: Series = taut_part(vector, tension.constant(0.5 * weight) / tension).length
+    return length
 
 
 class ClaspLegs(NamedTuple):
     """The legs r_{k-1} and q_k at a clasp ``p_k``."""
 
-    directions: LegPair  # Unit vectors from the clasp
-    chords: LegPair  # [m], distances of their drones from the clasp
+    chords: LegPair  # [m], vectors from the clasp to their drones
+    lengths: LegPair  # [m], of the chords
     r_leg: Series  # [m], ``e_{k-1}``, the cable length of the first leg
 
 
@@ -77,7 +73,6 @@ def clasp_legs(
     q_legs: tuple[Series, Series],
     cable_length: Any,
     load: Any,
-    weight: Any,
     roll: Series | None,
     *,
     equal: bool = False,
@@ -91,42 +86,31 @@ def clasp_legs(
     edges, q_legs: of both cables; the q-leg of cable k-1 is at ``p_{k-1}``.
     cable_length: of cable k-1 [m].
     load: external force on the clasp [N]; None if there is none.
-    weight: of cables per length [N/m]; None if there is none.
     roll: of the clasp [rad]; None if there is none.
     equal: whether all tensions are equal. Without load, weight and roll, legs then continue the
         neighbouring edges.
     """
     behind, ahead = edges
     q_leg_behind, q_leg = q_legs
-    length_behind = q_leg_behind.constant(cable_length)
-    r_leg = length_behind - behind.cable - q_leg_behind
-    legs = LegPair(r_leg, q_leg)
-    if equal and load is None and weight is None and roll is None:
-        return ClaspLegs(LegPair(-ahead.along, behind.along), legs, r_leg)
-    held = behind.pull * behind.along - ahead.pull * ahead.along  # by both legs
-    if load is not None:
-        held = held - held.constant(load)
-    onward = behind.along + ahead.along
-    tensions = LegPair(behind.tension, ahead.tension)
-    if weight is None:
-        return ClaspLegs(closed_triangle(held, onward, roll, tensions, None), legs, r_leg)
-    half_weight = 0.5 * weight
-    # Half of the lengths that meet at the clasp: edge and r-leg of cable k-1, q-leg and edge of k
-    carried = (length_behind - q_leg_behind + q_leg + ahead.cable) * half_weight
-    half_leg_weights = LegPair(r_leg * half_weight, q_leg * half_weight)
-    directions = closed_triangle(held + carried.upward, onward, roll, tensions, half_leg_weights)
+    r_leg = q_leg_behind.constant(cable_length) - behind.cable - q_leg_behind
+    is_weightless = behind.ratio is None
+    if equal and load is None and is_weightless and roll is None:
+        directions = LegPair(-ahead.along, behind.along)
+    else:
+        held = behind.second - ahead.first  # by both legs
+        if load is not None:
+            held = held - held.constant(load)
+        onward = behind.along + ahead.along
+        directions = closed_triangle(held, onward, roll, LegPair(behind.tension, ahead.tension))
+    if is_weightless:
+        chords = LegPair(r_leg * directions.behind, q_leg * directions.ahead)
+        return ClaspLegs(chords, LegPair(r_leg, q_leg), r_leg)
     chords = LegPair(
-        behind=_leg_chord(r_leg, behind.sag, directions.behind),
-        ahead=_leg_chord(q_leg, ahead.sag, directions.ahead),
+        behind=taut_chord(directions.behind, r_leg, behind.ratio),
+        ahead=taut_chord(directions.ahead, q_leg, ahead.ratio),
     )
-    return ClaspLegs(directions, chords, r_leg)
-
-
-def _leg_chord(leg: Series, sag: Series, direction: Series) -> Series:
-    """Return the chord [m] of a sagging leg from its cable length [m] and its direction."""
-    level = direction.row(0, 1)
-    chord: Series = leg * shortening(sag * leg * leg * level.dot(level))
-    return chord
+    lengths = LegPair(*(chord.dot(chord).root for chord in chords))
+    return ClaspLegs(chords, lengths, r_leg)
 
 
 CLASPS_PER_CHUNK = 4000
@@ -233,16 +217,15 @@ def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> tuple[Array, Array]:
             (q_legs.select(layout.behind), q_legs.select(layout.ahead)),
             team.cable_length[layout.behind],
             load,
-            weight,
             roll,
             equal=equal,
         )
         positions = flat.vertices[:, layout.anchors]  # final at a chain's ends, without legs
         distances = np.zeros((len(positions), team.drones, JET))
         clasp_drones = (2 * layout.behind + 1, 2 * layout.ahead)
-        for drones, chord, along in zip(clasp_drones, legs.chords, legs.directions, strict=True):
-            positions[:, drones] += (chord * along).jet
-            distances[:, drones] = chord.jet[..., 0, :]
+        for drones, chord, size in zip(clasp_drones, legs.chords, legs.lengths, strict=True):
+            positions[:, drones] += chord.jet
+            distances[:, drones] = size.jet[..., 0, :]
     return positions, distances.reshape(len(positions), -1, 2, JET)
 
 

@@ -72,9 +72,17 @@ class Series:
         """Return the items at some indices of the last axis of arrays."""
         return Series(self.coefficients[..., index])
 
+    def __getitem__(self, component: int) -> Series:
+        """Return one component of a vector."""
+        return self.row(component)
+
     @property
-    def upward(self) -> Series:
-        """A vector along z whose z component is this scalar."""
+    def xy(self) -> Series:
+        """The first two components of a vector."""
+        return self.row(0, 1)
+
+    def along_z(self) -> Series:
+        """Return a scalar as a vector along z."""
         if not _is_array(self.coefficients):
             return Series(self.coefficients * UP)
         items = self.coefficients.ndim - 2
@@ -132,6 +140,9 @@ class Series:
             quotient[order + 1 :] -= quotient[order] * b[1 : len(b) - order]
         return Series(quotient)
 
+    def __radd__(self, value: float) -> Series:
+        return self.constant(value) + self
+
     def __rsub__(self, value: float) -> Series:
         return self.constant(value) - self
 
@@ -163,6 +174,11 @@ class Series:
                 root[order] -= root[lower] * root[order - lower]
             root[order] *= inverse
         return Series(root)
+
+    @property
+    def inverse(self) -> Series:
+        """The inverse of a scalar."""
+        return self.constant(1.0) / self
 
     @property
     def direction(self) -> Series:

@@ -23,7 +23,7 @@ from hitchopt.hitch.forces import (
     clasp_loads,
     leg_directions,
     leg_vectors,
-    sag_factors,
+    weight_ratios,
 )
 from hitchopt.hitch.pairs import (
     CABLE,
@@ -400,14 +400,14 @@ class LegBodies:
         leading = q_legs.shape[:-2]
         points = np.broadcast_to(self.points, (*leading, *self.points.shape))
         edges = np.broadcast_to(self.edges, (*leading, *self.edges.shape))
-        loads = None if task.level else clasp_loads(team, q_legs, task.slack, task.roll)
+        loads = None if task.level else clasp_loads(team, task.slack, task.roll)
         to_q, to_r = leg_directions(edges, team.tension, team.topology, loads)
         if team.cable_density > 0.0:  # chords of sagging legs, per length of cable
-            sag = sag_factors(team, team.tension)
+            ratios = weight_ratios(team, team.tension)
             unit_cables = np.ones_like(q_legs)
             r_legs = task.slack - q_legs
-            to_q = leg_vectors(unit_cables, to_q, sag * q_legs**2)
-            to_r = leg_vectors(unit_cables, to_r, sag * r_legs**2)
+            to_q = leg_vectors(unit_cables, to_q, ratios * q_legs)
+            to_r = leg_vectors(unit_cables, to_r, ratios * r_legs)
         q_base = points[..., layout.starts, :]
         r_base = points[..., layout.ends, :] + task.slack[..., None] * to_r
         return Lines(

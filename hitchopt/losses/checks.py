@@ -34,6 +34,7 @@ from hitchopt.checks.cables import LENGTH_LIMIT
 from hitchopt.checks.certificate import TOLERANCE
 from hitchopt.checks.chords import MIN_DISTANCE
 from hitchopt.checks.clasps import BALANCE_LIMIT
+from hitchopt.checks.drone_forces import reduced_factor
 from hitchopt.checks.distances import GROUND, Flags, Ground, Hulls, Moving, PairSpans, smallest
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.solids import pairs_with_shape
@@ -43,6 +44,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.losses import Losses, displacements, places_after_loss
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.taut import taut_part
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import on_breaks_of
 from hitchopt.motion.states import TAUT_RATIO
@@ -456,22 +458,15 @@ def _chain_error(rows: Rows) -> Bound:
     tension = Enclosed(rows.read(after.tensions)[:, None])
     edge = clasp - far
     chord = place - far
-    steepness = tension.inverse * (2.0 * after.half_density)
-    factor = steepness * steepness * (1.0 / 24.0)
-
-    def cable(part: Enclosed) -> Enclosed:
-        """Return the cable length of a part."""
-        return part.norm + part.norm * part.xy.dot(part.xy) * factor
-
-    leg_cable = cable(start - clasp)
-    excess = cable(chord) - cable(edge) - leg_cable
+    ratio = tension.inverse * after.half_density
+    before = taut_part(edge, ratio, reduced_factor)
+    leg = taut_part(start - clasp, ratio, reduced_factor)
+    straight = taut_part(chord, ratio, reduced_factor)
+    excess = straight.length - before.length - leg.length
     longest = after.motion.team.cable_length[after.cable[rows.item], None]
     length_error = (excess * (1.0 / (LENGTH_LIMIT * longest))).norm_upper
-    level_weight = edge.xy * after.half_density
-    pull = (tension * tension - level_weight.dot(level_weight)).root
-    needed = edge.direction * pull + (leg_cable * after.half_density).along_z()
-    residual = needed - chord.direction * needed.norm
-    imbalance = (residual * tension.inverse * (1.0 / BALANCE_LIMIT)).norm_upper
+    residual = straight.force() - before.force()  # at the far vertex, over the tension
+    imbalance = (residual * (1.0 / BALANCE_LIMIT)).norm_upper
     return largest_of([length_error, imbalance])
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import cable_slack_of
-from hitchopt.hitch.model import DroneJets, FlatJets, cable_of_span, drone_jets
+from hitchopt.hitch.model import DroneJets, FlatJets, cable_between, drone_jets
 from hitchopt.hitch.series import JET, Series, product
 from hitchopt.planners.sampling import FunctionOrKnots, sampled
 from hitchopt.trajectory import PiecewisePolynomial
@@ -277,7 +277,7 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
     with np.errstate(all="ignore"):  # chords of zero length are left out below
         chord = Series.of_jet(chords)
         tension = Series.of_jet(tensions[..., None, :])
-        cable_jets = cable_of_span(chord, tension, weight).cable.jet[..., 0, :]
+        cable_jets = cable_between(chord, tension, weight).jet[..., 0, :]
     has_chord = chords[..., 0].any(axis=-1, keepdims=True)  # false for legs at a chain's ends
     return np.where(has_chord, cable_jets, 0.0)
 

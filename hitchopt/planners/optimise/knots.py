@@ -18,7 +18,7 @@ from hitchopt.hitch.forces import (
     clasp_loads,
     leg_directions,
     leg_vectors,
-    sag_factors,
+    weight_ratios,
 )
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
@@ -155,13 +155,13 @@ class KnotPath:
     def drones(self) -> Array:
         """(J + 1, n, 2, 3) [m]: positions of both drones of every cable, heights over the plane."""
         r_legs = self.slack - self.q_legs
-        loads = clasp_loads(self.team, self.q_legs, self.slack, self.roll)
+        loads = clasp_loads(self.team, self.slack, self.roll)
         q_directions, r_directions = leg_directions(unit(self.edges), self.tensions, loads=loads)
-        sag = sag_factors(self.team, self.tensions)
+        ratios = weight_ratios(self.team, self.tensions)
         drones = np.zeros((*self.q_legs.shape, 2, 3))
         dimensions = q_directions.shape[-1]  # 2 if all legs are level
-        drones[:, :, 0, :dimensions] = leg_vectors(self.q_legs, q_directions, sag)
-        drones[:, :, 1, :dimensions] = leg_vectors(r_legs, r_directions, sag)
+        drones[:, :, 0, :dimensions] = leg_vectors(self.q_legs, q_directions, ratios)
+        drones[:, :, 1, :dimensions] = leg_vectors(r_legs, r_directions, ratios)
         drones[:, :, 0, :2] += self.polygons
         drones[:, :, 1, :2] += np.roll(self.polygons, -1, axis=1)
         return drones

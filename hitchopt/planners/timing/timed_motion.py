@@ -15,7 +15,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, StepPlace, Violation, rounded_up
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.forces import cable_of, sag_factors
+from hitchopt.hitch.forces import cable_of, weight_ratios
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.series import chained
 from hitchopt.motion.motion import Motion
@@ -359,9 +359,9 @@ def cable_error(motion: Motion) -> float:
     team = motion.team
     vertices = _sampled(motion.vertices)
     legs = _sampled(motion.drones) - vertices[:, team.layout.anchors]
-    sag = sag_factors(team, _sampled(motion.tensions))
-    cables: Array = cable_of(legs[:, 0::2], sag) + cable_of(legs[:, 1::2], sag)
-    cables += cable_of(team.layout.edges(vertices), sag)
+    ratios = weight_ratios(team, _sampled(motion.tensions))
+    cables: Array = cable_of(legs[:, 0::2], ratios) + cable_of(legs[:, 1::2], ratios)
+    cables += cable_of(team.layout.edges(vertices), ratios)
     return float(np.abs(cables / team.cable_length - 1.0).max())
 
 
