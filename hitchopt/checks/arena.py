@@ -43,6 +43,14 @@ the floor."""
 FLOOR = "arena.lower[2]"  # Key of the floor
 CEILING = "arena.upper[2]"  # Key of the ceiling
 
+LARGEST_SHARE = 0.6
+"""Half of a part's weight over its tension up to which its sag is computed; beyond, the whole chord
+bounds it."""
+
+STEEPNESS_ITERATIONS = 40  # Of ``σ = w s / 2 T · cosh σ``, each of which divides the error by 2.3
+
+MIN_CHORD = 1e-9  # [m] Smallest chord in quotients
+
 FRACTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 """Points along a span: the polygon through them, with the full sag at all inner ones, is below the
 cable."""
@@ -125,13 +133,12 @@ def _part_wall_gap(spans: Parts) -> Bound:
 def _sagging_points(spans: Parts) -> tuple[Array, Array]:
     """Return points (spans, k, 3, degree + 1) on straight parts, and how far cables sag there [m].
 
-    For half of the weight c of a part, T its tension at an end, catenaries and their slopes at the
-    ends are at most ``(1 + (c/T)²) T / (T - c)`` times those of the parabola ``ρ g s² / 8 T``.
-
-    The polygon through the points, lowered by the sags (spans, k), is below the cable. A cable sags
-    by the parabola ``4 S u (1 - u)``, u from 0 to 1, with S its sag at the middle. The polygon is
-    lowered by S from u = 1/4 to 3/4, where no point of the cable is lower. Up to u = 1/4 it is
-    lowered by ``4 S u``, along the parabola's tangent at its end, and so from 3/4 on.
+    The polygon through the points, lowered by the sags (spans, k), is below the cable. A level part
+    of chord s is below its chord by at most ``4 S u (1 - u)``, u from 0 to 1, with ``4 S = s sinh
+    σ`` its slope at the ends, ``σ / cosh σ = w s / 2 T``. The polygon is lowered by S from u = 1/4
+    to 3/4. Up to u = 1/4 it is lowered by ``4 S u``, along the tangent at its end, and so from 3/4
+    on. Sloping parts sag less, by their mean tension; toward their lower end, they are below that
+    curve by less than 0.3 w h / 2 T of it, h their rise.
     """
     ends = spans.read(cable_parts(spans.source)[0])
     start = ends[:, :1]
@@ -140,12 +147,17 @@ def _sagging_points(spans: Parts) -> tuple[Array, Array]:
     if spans.source.team.cable_density > 0.0:
         half_density, tension = spans.scalars(_part_sags(spans.source))
         chord = Enclosed(along[:, 0]).norm_upper.value
-        half_weight = half_density.upper.value * chord
-        lowest = tension.lower.value
-        is_borne = lowest > half_weight
-        parabola = 0.25 * half_weight * chord / np.where(is_borne, lowest - half_weight, 1.0)
-        share = half_weight / np.where(is_borne, lowest, 1.0)
-        sag = np.where(is_borne, parabola * (1.0 + share * share), np.inf)
+        shortest = Enclosed(along[:, 0]).norm_lower.value
+        descent = np.maximum(Enclosed(-along[:, 0, 2:]).upper.value, 0.0)
+        mean = tension.lower.value - half_density.upper.value * descent
+        share = half_density.upper.value * chord / np.where(mean > 0.0, mean, np.inf)
+        is_taut = (mean > 0.0) & (share < LARGEST_SHARE)
+        sigma = np.where(is_taut, share, 0.0)
+        for _ in range(STEEPNESS_ITERATIONS):
+            sigma = np.where(is_taut, share, 0.0) * np.cosh(sigma)
+        slope = Enclosed(along[:, 0, 2:]).norm_upper.value / np.maximum(shortest, MIN_CHORD)
+        sag = 0.25 * chord * np.sinh(sigma) * (1.0 + 0.3 * share * np.minimum(slope, 1.0))
+        sag = np.where(is_taut, sag, chord)
     is_inner = (FRACTIONS > 0.0) & (FRACTIONS < 1.0)
     points = start + FRACTIONS[:, None, None] * along
     return points, sag[:, None] * is_inner

@@ -98,7 +98,8 @@ class Cables(MotionSpans):
         of_parts = Enclosed(ratio.c[:, None], np.asarray(ratio.r)[..., None])
         if not self.source.has_wraps:
             cables = taut_part(self.parts, of_parts, reduced_factor).length
-            return (cables - self.parts.norm).sum()
+            exists = self.source.team.layout.exists[self.item][:, [0, 2, 1], None]
+            return ((cables - self.parts.norm) * exists.astype(np.float64)).sum()
         whole = Enclosed(self.read(_parts(self.source, True)), 2.0 * self.noise)
         chords = whole * self.scale[:, None]
         cables = taut_part(chords, of_parts, reduced_factor).length

@@ -42,11 +42,11 @@ AXIAL_STIFFNESS = 1e4
 undetermined."""
 
 SLACK_RATIO = 0.95
-"""A cable is slack below this ratio of its tension to the weight of its longest span at first: level
-spans of that length then sag by a sixth of it."""
+"""A cable is slack below this ratio of its tension to the weight of its longest span at first:
+level spans of that length then sag by a sixth of it."""
 
 LARGEST_SAG = 0.43
-"""Largest ``(w D / 2m)²``, D the level length of a span that grew since: catenaries end at 0.439."""
+"""Largest ``(w D / 2m)²``, D the level length of a span that grew: catenaries end at 0.439."""
 
 TENSION_TOLERANCE = 1e-10  # Relative tolerance of a cable's tension
 TENSION_ITERATIONS = 100  # Largest number of iterations of a cable's tension

@@ -34,8 +34,8 @@ from hitchopt.checks.cables import LENGTH_LIMIT
 from hitchopt.checks.certificate import TOLERANCE
 from hitchopt.checks.chords import MIN_DISTANCE
 from hitchopt.checks.clasps import BALANCE_LIMIT
-from hitchopt.checks.drone_forces import reduced_factor
 from hitchopt.checks.distances import GROUND, Flags, Ground, Hulls, Moving, PairSpans, smallest
+from hitchopt.checks.drone_forces import reduced_factor
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.solids import pairs_with_shape
 from hitchopt.checks.spans import ROUNDING, cached, joined_arrays, magnitude

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.certifying import below_ground
@@ -116,10 +117,15 @@ def weighed(**weight: Any) -> Motion:
     return replace(resting(Team(6, 2.0, tension=0.5)), team=Team(6, 2.0, tension=0.5, **weight))
 
 
-# Level edges of 1 m pull less along their chords than legs of 0.5 m, and spans need more cable.
-HALF = 0.5 * 9.81 * 0.01
-LESS = math.sqrt(0.25 - (0.5 * HALF) ** 2) - math.sqrt(0.25 - HALF**2)
-ARCS = (2.0 * HALF / 0.5) ** 2 / 24.0 * (1.0 + 2.0 * 0.5**3)
+# A hexagon of level edges of 1 m and level legs of 0.5 m; spans need more cable. Both pull along
+# their ends: catenaries by the roots of ``σ / cosh σ = w s / 2 T``.
+EDGE, LEG = (
+    brentq(lambda x, size=size: x / math.cosh(x) - 0.5 * 0.0981 * size / 0.5, 1e-6, 1.0)
+    for size in (1.0, 0.5)
+)
+LESS = 1.0 / math.cosh(LEG) - 1.0 / math.cosh(EDGE)  # difference of their level pulls, over T
+WEIGHT = 0.0981 * (math.sinh(EDGE) / EDGE + 0.5 * math.sinh(LEG) / LEG)  # of all four halves
+ARCS = math.sinh(EDGE) / EDGE - 1.0 + (math.sinh(LEG) / LEG - 1.0)
 EXTERIOR = np.min(ConvexPolygon(TRIANGLE).exterior_angles[:2])
 ANY: set[tuple[str, ...]] = set()
 
@@ -196,7 +202,7 @@ FORMS: dict[str, tuple[Callable[[], Motion], str, Worst, bool, Set[tuple[str, ..
     ),
     "level legs do not carry their own weight": (
         lambda: weighed(cable_density=0.01),
-        *("equilibrium", math.hypot(9.81 * 0.015, LESS) / 0.5, False, ANY),
+        *("equilibrium", math.hypot(WEIGHT / 0.5, LESS), False, ANY),
     ),
     "nor a load": (lambda: weighed(load=0.015), "equilibrium", 9.81 * 0.015 / 0.5, False, ANY),
     "a leg turned by ψ leaves 2 sin(ψ/2) of its tension": (
@@ -340,10 +346,12 @@ WIDE = [[0.0, -1.0], [-0.8, 0.6], [0.8, 0.6]]
 
 @pytest.mark.parametrize("density", [0.0, 0.01, 0.02])
 def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> None:
-    """A level edge of length s sags by ``ρ g s² / 8 T``; walls move with the hitch."""
+    """A level edge of length s sags by some ``ρ g s² / 8 T``; walls move with the hitch."""
     team, outline = Team(3, 3.0, cable_density=density, tension=0.5), np.array(WIDE)
     longest = max(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1))
-    sag = density * 9.81 * longest**2 / (8.0 * 0.5)
+    share = 0.5 * density * 9.81 * longest / 0.5
+    steep = brentq(lambda x: x - share * math.cosh(x), 0.0, 1.0)
+    sag = 0.25 * longest * math.sinh(steep)  # of tangents at its ends
     for shift in ([0.0, 0.0], [3.0, -2.0]):
         here = still(team, outline + shift, [0.4] * 3)
         drones, z = here.drones.coefficients[0, ..., 0], here.vertices.coefficients[0, 0, 2, 0]

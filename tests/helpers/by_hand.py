@@ -77,18 +77,16 @@ class Samples:
         self.half = 0.5 * G * self.team.cable_density * self.taut
 
     def pulls(self) -> tuple[Array, Array]:
-        """Return the pulls of taut cables along their chords, and the chords' lengths."""
+        """Return tensions of taut cables to drones (times, 2n, 3) [N]: at clasps, at drones."""
         other = np.stack([self.last, self.first], axis=1).ravel()
         span = self.x - self.p[:, np.where(self.legged, self.own, other)]
-        half, size = np.repeat(self.half, 2, axis=1), np.linalg.norm(span, axis=-1)
-        root = np.sqrt(self.P**2 - (half * _level(span)) ** 2)
-        return ((half * span[..., 2] + root) / size)[..., None] * span, half * size
+        start, end, _ = catenary(span, self.P, np.repeat(self.half, 2, axis=1))
+        return start, end
 
     def forces(self) -> Array:
         """Return the forces of taut and hanging cables on drones (times, 2n, 3) [N]."""
-        pull, weight = self.pulls()
+        _, pull = self.pulls()
         result = -pull
-        result[..., 2] -= weight
         if self.team.cable_density:
             q, r = self.x[:, 0::2], self.x[:, 1::2]
             hanging = Catenary.between(q, r, self.team.cable_length).pull(q, r)
@@ -182,7 +180,7 @@ def _taut_distances(s: Samples) -> dict[str, float]:
 
 
 def sagging(s: Samples, count: int = 33) -> Array:
-    """Return points (times, 3 n count, 3) of legs and edges, parabolas below their chords."""
+    """Return points (times, 3 n count, 3) of legs and edges, below their chords."""
     k, share = np.arange(s.n), np.linspace(0.0, 1.0, count)[:, None]
     parts = [(s.p[:, s.first], s.p[:, s.last], s.T)]
     for end, own in enumerate((s.first, s.last)):
@@ -191,9 +189,13 @@ def sagging(s: Samples, count: int = 33) -> Array:
     for a, b, pull in parts:
         with np.errstate(invalid="ignore"):  # at the very end of a ramp nothing pulls
             ratio = np.nan_to_num(s.half / pull)
-        deep = ratio * np.sum((b - a) ** 2, axis=-1) / 4.0
         points = a[:, :, None] + share * (b - a)[:, :, None]
-        points[..., 2] -= deep[..., None] * (4.0 * share * (1.0 - share))[:, 0]
+        _, _, size = catenary(b - a, pull, s.half)
+        hanging = Catenary.between(a, b, np.maximum(size, 1e-9))  # a chain's ends have no legs
+        stacked = Catenary(*(np.asarray(x)[..., None] for x in vars(hanging).values()))
+        points[..., 2] -= np.where(ratio > 0.0, 1.0, 0.0)[..., None] * stacked.depth(
+            2.0 * share[:, 0] - 1.0
+        )
         result.append(points.reshape(len(points), -1, 3))
     return np.concatenate(result, axis=1)
 
@@ -306,22 +308,53 @@ def cable_points(length: ArrayLike, drones: Array, count: int = 201) -> Array:
 def _unbalanced(s: Samples) -> float:
     """Return residuals of legs, edges and weights at clasps, and of pulls beyond friction."""
     pull, _ = s.pulls()
-    along = s.edges / np.linalg.norm(s.edges, axis=-1, keepdims=True)
-    legs = np.linalg.norm(s.legs, axis=-1) * s.legged  # none at a chain's ends, right or wrong
-    edge_pull = np.sqrt(s.T**2 - (s.half * _level(s.edges)) ** 2)[..., None] * along
+    onward, _, _ = catenary(s.edges, s.T, s.half)
+    back, _, _ = catenary(-s.edges, s.T, s.half)
     balance = []
     for i, k in enumerate(s.clasps.tolist()):
         m = k - 1  # the cables ahead and behind
-        force = pull[:, 2 * k] + edge_pull[:, k] + pull[:, 2 * m + 1] - edge_pull[:, m]
-        for cable, other in ((k, 2 * k + 1), (m, 2 * m)):
-            borne = s.half[:, cable] * (s.team.cable_length[cable] - legs[:, other])
-            force[:, 2] -= borne + 0.5 * G * s.team.load[i] * s.taut[:, cable]
+        force = pull[:, 2 * k] + onward[:, k] + pull[:, 2 * m + 1] + back[:, m]
+        for cable in (k, m):
+            force[:, 2] -= 0.5 * G * s.team.load[i] * s.taut[:, cable]
         least = np.minimum(s.T[:, k], s.T[:, m])
         balance.append(np.max(np.linalg.norm(force, axis=-1) / least))
     if s.motion.leg_tensions_differ:
         ratio, most = slides(s)
         balance.append(np.max(np.maximum(ratio - most, 1.0 / most - ratio)))
     return float(max(balance))
+
+
+def catenary(chords: Array, T: Array, half: Array) -> tuple[Array, Array, Array]:
+    """Return tensions (…, 3) at the start and the end of parts, toward the end, and lengths (…).
+
+    Parameters
+    ----------
+    chords: (…, 3) [m].
+    T, half: (…), tension at the start [N], half of the weight per length [N/m].
+    """
+    across, rise = _level(chords), chords[..., 2]
+    target = T + half * rise  # mean of both ends' tensions, half L coth σ
+    low, high = np.full(across.shape, 1e-9), np.full(across.shape, 1.0)  # σ
+
+    def length(sigma: Array) -> Array:  # √(h² + (D sinh σ / σ)²)
+        return np.asarray(np.hypot(rise, across * np.sinh(sigma) / sigma))
+
+    for _ in range(60):  # in the logarithm: steepness is small where cables are light
+        middle = np.sqrt(low * high)
+        is_tighter = half * length(middle) / np.tanh(middle) > target
+        low, high = np.where(is_tighter, middle, low), np.where(is_tighter, high, middle)
+    size = length(high)
+    straight = np.linalg.norm(chords, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        level = np.where(half > 0.0, half / high, np.where(straight > 0.0, T / straight, 0.0))
+        upward = np.where(half > 0.0, half / np.tanh(high), level) * rise
+    start = np.concatenate([level[..., None] * chords[..., :2], upward[..., None]], axis=-1)
+    weight = (half * size)[..., None] * [0.0, 0.0, 1.0]
+    return (
+        start - weight,
+        start + weight,
+        np.where(half > 0.0, size, np.linalg.norm(chords, axis=-1)),
+    )
 
 
 def slides(s: Samples) -> tuple[Array, Array]:
@@ -344,10 +377,9 @@ def _level(spans: Array) -> Array:
 
 def _shape(s: Samples) -> dict[str, float]:
     legs = np.linalg.norm(s.legs, axis=-1)
-    total = np.linalg.norm(s.edges, axis=-1) + legs[:, 0::2] + legs[:, 1::2]
-    for span in (s.edges, s.legs[:, 0::2], s.legs[:, 1::2]):  # by how much each of them sags
-        size = np.linalg.norm(span, axis=-1)
-        total += (2.0 * s.half / s.T) ** 2 * size * _level(span) ** 2 / 24.0
+    total = np.zeros(s.T.shape)
+    for span in (s.edges, s.legs[:, 0::2], s.legs[:, 1::2]):
+        total += catenary(span, s.T, s.half)[2]
     leg_errors = np.max(np.abs(s.stored - legs.reshape(s.stored.shape)), axis=-1)
     off = np.maximum(np.abs(total - s.team.cable_length), leg_errors) / s.team.cable_length
     heading = np.arctan2(s.edges[..., 1], s.edges[..., 0])
