@@ -9,6 +9,7 @@ import numpy as np
 
 from .arithmetic import BIG, DEGREES, UP, G, Index, Line, Mask, angle, maximum, minimum, norm
 from .drones import wall_gap
+from .parts import depth_below
 from .plan import HITCHED, REST_TOL, WRAP_TOL, Plan
 from .shapes import distance
 from .spans import MIN_TENSION, Row, Spans, nothing_row, prove
@@ -59,14 +60,15 @@ def taut_cables(p: Plan) -> Iterator[Row]:
 
 
 def arena_gap(s: Spans, j: Index, *, leg: bool) -> Line:
-    """Return distances of segments to walls, with a sag of ``ρ g s² / 8 T`` at the middle."""
+    """Return distances of segments to walls, of cables that sag below them to the floor."""
     p = s.plan
     a, b = s.segment(j)
     k = p.segments[j, 2]
     chord = b - a
     T = p.pulls.on(s, p.segments[j, 1]) if leg else p.tensions.on(s, k)
-    sag = chord.dot(chord) * s.inverse_tension(T, k) * (0.125 * p.weight)
-    inner = wall_gap(s, [a + chord * x for x in (0.25, 0.5, 0.75)], sag)
+    ratio = s.weight_ratio(T, k)
+    depth = 0.0 if ratio is None else depth_below(chord, ratio)
+    inner = wall_gap(s, [a + chord * x for x in (0.25, 0.5, 0.75)], depth)
     return minimum(wall_gap(s, [a, b]), inner)
 
 
@@ -115,18 +117,13 @@ def capstan(s: Spans, i: Index) -> Line:
 
 
 def length_error(s: Spans, k: Index) -> Line:
-    """Return ``|d + l + e - L| / L``, or errors of stored legs.
-
-    Segments of chord s at a slope α are longer than s by ``(ρ g τ / T)² s³ cos² α / 24``.
-    """
+    """Return ``|d + l + e - L| / L``, or errors of stored legs."""
     p = s.plan
-    leaving, arriving = s.edge(k)
-    excess = wrapped_length(s, k) - s.plan.length[k]
-    segments = [(x.norm(), x) for x in (s.leg(2 * k), s.leg(2 * k + 1))]
-    errors = [(p.legs.on(s, 2 * k + end) - segments[end][0]).norm() for end in (0, 1)]
-    pulled = maximum(p.tensions.on(s, k), p.min_tension[s.piece, k]).inverse() * p.weight
-    for chord, x in [*segments, (leaving.norm() + arriving.norm(), leaving + arriving)]:
-        excess = excess + chord + chord * x[:2].dot(x[:2]) * pulled * pulled * (1.0 / 24.0)
+    errors = [(p.legs.on(s, i) - s.leg(i).norm()).norm() for i in (2 * k, 2 * k + 1)]
+    legs = s.leg_length(2 * k) + s.leg_length(2 * k + 1)
+    excess = legs + s.edge_length(k) - p.length[k]
+    if p.has_contacts:
+        excess = excess + wrapped_length(s, k)
     for b in range(len(p.bodies)):
         share = p.load_share.on(s, b)
         excess = excess - share * share * p.rim.length_loss[b, s.piece, k, None]
@@ -154,20 +151,19 @@ def wrapped_length(s: Spans, k: Index) -> Line:
     return total
 
 
-def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line], Line]:
-    """Return directions and pulls of ``q̂_k, u_k, r̂_{k-1}, u_{k-1}``; weights and body forces.
+def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], Line]:
+    """Return tensions at a clasp, weights of loads for both cables, and body forces.
 
-    ``P q̂_k + P_k u_k + P' r̂_{k-1} - P_{k-1} u_{k-1} - W ẑ + w = 0``. W is the sum of ``τ (½ g load
-    + ½ ρ g (L - other leg))`` of both cables; ``w = -m μ (a_k + g b ẑ) + m h (G·a) ẑ`` with the
-    load share b, the clasp's shares μ and G of mass and moments, and the height h above clasps.
+    ``Q + E + R + E' - W - W' + w = 0``, the tensions of q-leg and edge ahead, and of r-leg and edge
+    behind, all from the clasp. Loads W are ``½ τ g load``; ``w = -m μ (a_k + g b ẑ) + m h (G·a) ẑ``
+    with the load share b, the clasp's shares μ and G of mass and moments, and the height h above
+    clasps. A rim takes its share of the pull of edges, but not of their weight.
     """
     p = s.plan
     k = s.plan.clasps[c]
     j = s.plan.behind[c]
-    chords = s.leg_chord(2 * k), s.edge(k)[0], s.leg_chord(2 * j + 1), s.edge(j)[1]
     factor = s.zero + 1.0
     body_force = s.zero * UP
-    weights = []
     for b, body in enumerate(p.bodies):
         share = p.load_share.on(s, b)
         mass, x, y = p.rim.shares[b, s.piece, c, :, None].swapaxes(0, 1)
@@ -176,30 +172,41 @@ def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line]
         moment = (a[0] * x + a[1] * y) * UP * (body.centre[2] - body.height)
         inertia = (moment - s.point(p.begin[k], 2) * mass).where(p.moving[b, s.piece])
         body_force = body_force + (inertia - share * mass * G * UP) * body.mass
-    for cable, other in ((k, 2 * k + 1), (j, 2 * j)):
-        length = -s.leg(other).norm().where(p.leg[other]) + p.length[cable]
-        weights.append(s.tautness(cable) * (length * (0.5 * p.weight) + 0.5 * G * p.load[c]) * UP)
-    ahead = s.edge_pull(k, 1.0) * factor
-    behind = s.edge_pull(j, -1.0) * factor
-    pulls = [s.pull(2 * k), ahead, s.pull(2 * j + 1), behind]
-    return [x.unit() for x in chords], pulls, weights, body_force
+    weights = [s.zero * UP] * 2
+    if np.any(p.load):
+        weights = [s.tautness(cable) * (0.5 * G * p.load[c]) * UP for cable in (k, j)]
+    edges = [s.edge_part(k), s.edge_part(j, from_end=True)]
+    if p.bodies:
+        edges = [x._replace(mean=x.mean * factor) for x in edges]
+    legs = [s.leg_part(2 * k), s.leg_part(2 * j + 1)]
+    return (
+        [part.first for pair in zip(legs, edges, strict=True) for part in pair],
+        weights,
+        body_force,
+    )
+
+
+def weaker_tension(s: Spans, c: Index) -> Line:
+    """Return the smaller tension of a clasp's cables, at least MIN_TENSION."""
+    ahead, behind = (s.plan.tensions.on(s, k[c]) for k in (s.plan.clasps, s.plan.behind))
+    return maximum(minimum(ahead, behind), MIN_TENSION)
 
 
 def force_residual(s: Spans, c: Index) -> Line:
     """Return the force residual of a clasp, over the smaller tension of its cables."""
-    u, P, (a, b), body_force = clasp_forces(s, c)
-    total = u[0] * P[0] + u[1] * P[1] + u[2] * P[2] - u[3] * P[3] - a - b + body_force
-    return total.norm() * maximum(minimum(P[1], P[3]), MIN_TENSION).inverse()
+    tensions, (a, b), body_force = clasp_forces(s, c)
+    total = sum(tensions, body_force - a - b)
+    return total.norm() * weaker_tension(s, c).inverse()
 
 
 def roll_angle(s: Spans, c: Index) -> Line:
-    """Return the roll of pairs about the sum of their legs' pulls [deg]; at 180° clasps are open.
+    """Return the roll of pairs about the sum of their legs' tensions [deg]; open ones have 180°.
 
-    It is the angle from ``u_k + u_{k-1}`` to the difference of the pulls, both normal to their sum;
-    zero where tensions vanish at the ends of ramps.
+    It is the angle from ``u_k + u_{k-1}``, of the edges' chords, to the difference of the tensions
+    at the clasp, both normal to their sum; zero where tensions vanish at the ends of ramps.
     """
     k, j = s.plan.clasps[c], s.plan.behind[c]
-    q, r = (s.leg_chord(i).unit() * s.pull(i) for i in (2 * k, 2 * j + 1))
+    q, r = (s.leg_part(i).first for i in (2 * k, 2 * j + 1))
     axis = (q + r).unit()
     bisector = s.edge(k)[0].unit() + s.edge(j)[1].unit()
     components = [x - axis * axis.dot(x) for x in (bisector, q - r)]
@@ -216,18 +223,20 @@ def has_tension(s: Spans, *cables: Index) -> Mask:
 def contact(s: Spans, c: Index) -> Line:
     """Return contact products over the weaker pull: negative while the cables press together.
 
-    ``C = W_k ẑ - P q̂_k - P_k u_k - ½ w``; the products are C·q̂_k, C·u_k, -C·r̂_{k-1}, C·u_{k-1}.
-    With different tensions due to friction they are the means of both products of a cable.
+    The cable ahead presses by ``C = W - Q - E - ½ w``; products are those of C with its directions
+    at the clasp, and of -C with those of the cable behind. With different tensions due to friction
+    they are the means of both products of a cable.
     """
     p = s.plan
-    u, P, weights, body_force = clasp_forces(s, c)
-    C = weights[0] - u[0] * P[0] - u[1] * P[1] - body_force * 0.5
-    weakest = minimum(P[1], P[3])
+    tensions, weights, body_force = clasp_forces(s, c)
+    C = weights[0] - tensions[0] - tensions[1] - body_force * 0.5
     tensioned = has_tension(s, p.clasps[c], p.behind[c])
-    products = [C.dot(u[0]), C.dot(u[1]), -C.dot(u[2]), C.dot(u[3])]
+    directions = [x.unit() for x in tensions]
+    products = [C.dot(directions[0]), C.dot(directions[1])]
+    products += [-C.dot(directions[2]), -C.dot(directions[3])]
     if p.frictional:
         products = [(products[i] + products[i + 1]) * 0.5 for i in (0, 2)]
-    largest = maximum(*products) * weakest.inverse()
+    largest = maximum(*products) * weaker_tension(s, c).inverse()
     return largest.where(tensioned) - np.where(tensioned, 0.0, 1.0)[:, None]
 
 

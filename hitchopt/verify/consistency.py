@@ -11,6 +11,7 @@ from .arithmetic import POS_TOL, Array, Items, Mask, norm, runs_of, varies
 from .catenary import lowest_height
 from .drones import thrust
 from .objects import support_below
+from .parts import taut_length
 from .plan import CLASPING, CONTACT_TOL, GROUNDED, LOOSE, TIGHTENED, Plan
 from .shapes import to_frame
 from .spans import RESOLUTION, Fault, Row, Spans, Worst, fault_row, worst_row
@@ -170,11 +171,11 @@ def tightened_faults(p: Plan, on: Mask) -> Iterator[StateFault]:
     Cables of more tension count more.
     """
     spans, cables = of_cables(p, on)
-    legs = [spans.leg(2 * cables + end).norm().v for end in (0, 1)]
-    parts = np.stack([*legs, sum(x.norm().v for x in spans.edge(cables))]).reshape(3, -1, p.n)
-    sags = (p.weight / p.stated_tension[:, 0]) ** 2 / 24.0 * parts**3
-    excess = np.sum(parts + sags, axis=0) - (1.0 - 1e-4) * p.length[:, 0]
-    is_full = excess @ p.stated_tension[:, 0] > 0.0
+    leaving, arriving = spans.edge(cables)
+    chords = spans.leg(2 * cables), spans.leg(2 * cables + 1), leaving + arriving
+    ratio = spans.zero + p.weight / p.stated_tension[cables] if p.weight else None
+    total = sum((taut_length(x, ratio) for x in chords), spans.zero).v.reshape(-1, p.n)
+    is_full = (total - (1.0 - 1e-4) * p.length[:, 0]) @ p.stated_tension[:, 0] > 0.0
     full_time, time = np.sum(p.h[on] * is_full), np.sum(p.h[on])
     yield bool(full_time > 0.5 * time), "cables stated as slack have their full length"
 

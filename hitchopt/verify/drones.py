@@ -57,16 +57,17 @@ def drones(p: Plan) -> Iterator[Row]:
 
 
 def thrust(s: Spans, i: Index) -> Line:
-    """Return ``m (a + g ẑ) + P û + ½ ρ g d τ ẑ - (1 - τ) w``; w is a hanging cable's force."""
+    """Return ``m (a + g ẑ) + F - (1 - τ) w`` for the tension F of a leg at its drone.
+
+    w is a hanging cable's force.
+    """
     p = s.plan
     force = (s.point(i, 2) + G * UP) * s.plan.mass[i]
     if p.n:
-        leg = s.leg_chord(i)
-        tau = s.tautness(i // 2)
-        taut = leg.unit() * s.pull(i) + leg.norm() * tau * (0.5 * p.weight) * UP
-        force = force + taut.where(p.pulling[s.piece])
-        if p.weight > 0.0 and np.any(tau.low < 1.0):
-            slack = -tau + 1.0
+        force = force + s.leg_part(i).second.where(p.pulling[s.piece])
+    if p.weight > 0.0:
+        slack = -s.tautness(i // 2) + 1.0
+        if np.any(slack.high > TOLERANCE):
             hanging = catenary_force(s, i) * slack * p.weight
             force = force - hanging.where(slack.high > TOLERANCE)
     return force

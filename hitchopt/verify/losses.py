@@ -1,9 +1,8 @@
 """Losses of a robot with its cable: what remains is a chain in balance, reached clear of all.
 
-Without cable k, its neighbours are straight from their other clasps f, where they pull as before:
-with a pull P of their edge along ê, and weights w of the edge and w' of edge and leg, along
-``P ê + (w' - w)/2 ẑ``. Ways to their ends there are segments, loose cables are in prisms below way
-and f, and drones of the lost robot rise above all others.
+Without cable k, its neighbours lead from their other clasps f to their drones, with the tension of
+their edge at f, which pulls there as before. Ways to their ends there are segments, loose cables
+are in prisms below way and f, and drones of the lost robot rise above all others.
 """
 
 from __future__ import annotations
@@ -35,6 +34,7 @@ from .arithmetic import (
     norm,
     normalize,
 )
+from .parts import chord_of, taut_length, taut_part
 from .plan import HITCHED, Plan
 from .shapes import closest, distance, hull_distance, prism_gap
 from .spans import Fault, Row, Spans, fault_row, nothing_row, prove, worst_row
@@ -146,20 +146,20 @@ def displacement(kind: dict[str, Any], mass: float) -> float:
     return worst
 
 
-def place_after(s: Spans, rows: Moves, j: Index) -> Line:
-    """Return places of drones after losses."""
+def cable_after(s: Spans, rows: Moves, j: Index) -> tuple[Line, Line]:
+    """Return tensions of edges at their far clasps, and lengths of edges and legs, which remain."""
     p, drone = s.plan, rows.drone[j]
     k = drone // 2
     far, clasp = s.point(rows.far[j]), s.point(rows.clasp[j])
-    edge, leg, T = clasp - far, s.point(drone) - clasp, p.tensions.on(s, k)
-    factor = T.inverse() * T.inverse() * (p.weight**2 / 24.0)
-    edge_cable, leg_cable = (x.norm() + x.norm() * x[:2].dot(x[:2]) * factor for x in (edge, leg))
-    pull = s.chord_force(T, k, edge[:2].dot(edge[:2]))
-    direction = (edge.unit() * pull + leg_cable * UP * (0.5 * p.weight)).unit()
-    cable = edge_cable + leg_cable
-    e = factor * cable * cable * direction[:2].dot(direction[:2])
-    share = -(e * (-(e * (-(e * (-(e * 55.0) + 12.0)) + 3.0)) + 1.0)) + 1.0
-    return far + direction * cable * share
+    T = p.tensions.on(s, k)
+    ratio = T.inverse() * p.weight if p.weight else None
+    edge = taut_part(clasp - far, T, ratio)
+    return edge.first, edge.length + taut_length(s.point(drone) - clasp, ratio)
+
+
+def place_after(s: Spans, rows: Moves, j: Index) -> Line:
+    """Return places of drones after losses."""
+    return s.point(rows.far[j]) + chord_of(*cable_after(s, rows, j), s.plan.weight)
 
 
 def end_region(s: Spans, rows: Moves, j: Index, clasp: Line) -> list[Line]:

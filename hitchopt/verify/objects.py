@@ -258,15 +258,16 @@ class Grip:
         force = -(a + share * UP * G) * mass
         for k in range(p.n):
             leaving, arriving = s.edge(k)
+            level = s.level_pull(k)[1]
             for end, u in ((0, -leaving.unit()), (1, arriving.unit())):
-                pull = u * s.edge_pull(k)
+                pull = u * level
                 moment = moment + (s.point(p.edges[1 + end, k]) - centre).cross(pull)
                 force = force + pull
         friction = (-share + 1.0) * (self.body.friction * mass * G)
         push = concatenate(force[:2], moment[2] * (1.0 / self.stem.mean_radius)).norm() - friction
         standing = maximum(push, force[2].norm()).where(~lifted)
         flying = maximum(force.norm(), moment.norm() * (1.0 / self.radius)).where(lifted)
-        tension = maximum(minimum(*(s.edge_pull(k) for k in range(p.n))), MIN_TENSION)
+        tension = maximum(minimum(*(p.tensions.on(s, k) for k in range(p.n))), MIN_TENSION)
         return (flying + standing) * tension.inverse()
 
     def rotation(self, s: Spans, _: Index) -> Line:

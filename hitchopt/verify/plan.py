@@ -164,7 +164,6 @@ class Plan:
     weight: float  # [N/m] of cables
     mu: float  # largest friction of cables
     load: Array  # (clasps, 1) [kg]
-    sag: Array  # (n, 1) excess of the length of a cable over its chord, relative
 
     # How cables run: indices of points, unless said otherwise
     begin: Items  # (n,) vertices at the starts of edges

@@ -21,6 +21,7 @@ from .arithmetic import (
     maximum,
     minimum,
 )
+from .parts import Part, stretch, taut_length, taut_part
 from .plan import CLASPING, LOOSE, Plan
 
 Names = Sequence[Sequence[str]]
@@ -197,45 +198,68 @@ class Spans:
         ratio = self.plan.tensions.on(self, k) * (1.0 / self.plan.min_tension[self.piece, k])
         return minimum(ratio, 1.0).where(self.plan.pulling[self.piece])
 
-    def inverse_tension(self, T: Line, k: Index) -> Line:
-        """Return ``τ / T`` of segments of cables k of tension T."""
+    def weight_ratio(self, T: Line, k: Index) -> Line | None:
+        """Return ``τ ρ g / T`` of parts of cables k of tension T [1/m]; None without weight."""
         p = self.plan
+        if p.weight == 0.0:
+            return None
         ratio = maximum(p.tensions.on(self, k), p.min_tension[self.piece, k]).inverse()
-        if not p.frictional:
-            return ratio
-        taut = self.tautness(k).low >= 1.0  # leg and edge tensions differ for taut cables only
-        return ratio.where(~taut) + maximum(T, MIN_TENSION).inverse().where(taut)
+        if p.frictional:  # tensions of legs and edges differ for taut cables only
+            taut = self.tautness(k).low >= 1.0 - TOLERANCE
+            ratio = ratio.where(~taut) + maximum(T, MIN_TENSION).inverse().where(taut)
+        return ratio * p.weight
 
-    def chord_force(self, T: Line, k: Index, square: Line) -> Line:
-        """Return ``√(T² - (w/2)² cos² γ)``: the chord force of segments of tension T.
+    def leg_part(self, i: Index) -> Part:
+        """Return the parts of cables that pull drones, from the clasp to the drone."""
+        T = self.plan.pulls.on(self, i)
+        return taut_part(self.leg_chord(i), T, self.weight_ratio(T, i // 2))
 
-        ``square`` is the squared horizontal length, and w the weight, ``τ ρ g`` per length.
+    def leg_length(self, i: Index) -> Line:
+        """Return lengths of legs along the cable; zero at the ends of a chain."""
+        return taut_length(self.leg(i), self.weight_ratio(self.plan.pulls.on(self, i), i // 2))
+
+    def edge_part(self, k: Index, *, from_end: bool = False) -> Part:
+        """Return edges from their start, or from their end, at which they have their tension."""
+        p = self.plan
+        T = p.tensions.on(self, k)
+        ratio = self.weight_ratio(T, k)
+        if p.has_contacts:
+            leaving, arriving = self.edge(k)
+            length, pull = self.level_pull(k)
+            mean = (-arriving if from_end else leaving).unit() * pull
+            return Part(length, mean, T * 0.0 if ratio is None else T * ratio * length * 0.5)
+        chord = self.point(p.end[k]) - self.point(p.begin[k])
+        return taut_part(-chord if from_end else chord, T, ratio)
+
+    def level_pull(self, k: Index) -> tuple[Line, Line]:
+        """Return full lengths l of level edges, and the level part of their tension.
+
+        It is ``√(T² - (w l / 2)²)``, and lengths include arcs around objects.
         """
-        if self.plan.weight == 0.0:
-            return T
-        half = self.inverse_tension(T, k) * (0.5 * self.plan.weight)
-        rest = square * half * half
-        return T * rest.map(lambda x: np.sqrt(1.0 - x), lambda x: -0.5 / np.sqrt(1.0 - x))
+        T = self.plan.tensions.on(self, k)
+        ratio = self.weight_ratio(T, k)
+        length = -(self.leg_length(2 * k) + self.leg_length(2 * k + 1)) + self.plan.length[k]
+        if ratio is None:
+            return length, T
+        half = ratio * length * 0.5
+        share = (half * half).map(lambda x: np.sqrt(1.0 - x), lambda x: -0.5 / np.sqrt(1.0 - x))
+        return length, T * share
 
-    def pull(self, i: Index) -> Line:
-        """Return ``P = (w/2) sin γ + √(T² - (w/2)² cos² γ)``: forces of legs along their chords."""
-        leg = self.leg_chord(i)
-        k = i // 2
-        weight = leg[2] * self.tautness(k) * (0.5 * self.plan.weight)
-        return self.chord_force(self.plan.pulls.on(self, i), k, leg[:2].dot(leg[:2])) + weight
+    def edge_length(self, k: Index) -> Line:
+        """Return lengths of edges along the cable, without arcs around objects.
 
-    def edge_pull(self, k: Index, sense: float = 0.0) -> Line:
-        """Return the pull of edges; edges around objects have their full length, arcs included.
-
-        Those of chains may slope: the ``sense`` is 1 at their start, -1 at their end.
+        Those of a chain may slope: the first one has its tension at its end, its only clasp. Parts
+        of an edge beside an arc sag as one level edge between them does.
         """
-        chord = self.point(self.plan.end[k]) - self.point(self.plan.begin[k])
-        edge = chord[:2]
-        slope = chord[2] * (0.5 * self.plan.weight * sense)
-        if self.plan.has_contacts:
-            edge = -(self.leg(2 * k).norm() + self.leg(2 * k + 1).norm()) + self.plan.length[k]
-        pull = self.chord_force(self.plan.tensions.on(self, k), k, edge.dot(edge))
-        return pull if self.plan.closed else pull + slope * self.tautness(k)
+        p = self.plan
+        ratio = self.weight_ratio(p.tensions.on(self, k), k)
+        if p.has_contacts:
+            leaving, arriving = self.edge(k)
+            straight = leaving.norm() + arriving.norm()
+            return straight if ratio is None else straight * stretch(leaving + arriving, ratio)
+        sense = 1.0 if p.closed else np.where(np.equal(k, 0), -1.0, 1.0)[..., None]
+        chord = (self.point(p.end[k]) - self.point(p.begin[k])) * sense
+        return taut_length(chord, ratio)
 
     def local(self, b: int, x: Line) -> Line:
         """Return points in the frame of body b; -1 is the world."""

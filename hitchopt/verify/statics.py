@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .arithmetic import Array, G, Items, norm
+from .parts import sinh_over, solve, tanh_over
 from .plan import Plan, tube_of
 from .spans import Row, Worst, worst_row
 
@@ -87,6 +88,8 @@ class Rest:
         self.planned = np.concatenate([drones, vertices[clasps]])
         ends = self.planned[self.nodes]
         self.heights = 0.5 * (ends[:, 1, 2] + ends[:, 2, 2])
+        if not p.closed:  # edges to a chain's ends have their tension at their clasp
+            self.heights[0], self.heights[-1] = ends[0, 2, 2], ends[-1, 1, 2]
         self.held = np.zeros((N, 3))
         unknowns = np.concatenate([self.planned.ravel(), tensions])
         bends = self.bends(unknowns)
@@ -106,10 +109,11 @@ class Rest:
         positions = unknowns[..., :-n].reshape(*unknowns.shape[:-1], -1, 3)
         tensions = unknowns[..., -n:]
         of_lengths, of_setpoints, of_friction = np.split(errors, [n, n + 3 * N], axis=-1)
-        pull, down, arc = self.spans(positions[..., self.nodes, :], tensions)
         ratios = np.exp(of_friction * bends).reshape(*errors.shape[:-1], n, 2)
         of_edges = np.ones(ratios.shape[:-1])
-        pull = pull * np.stack([ratios[..., 0], of_edges, ratios[..., 1]], -1)[..., None]
+        of_parts = np.stack([ratios[..., 0], of_edges, ratios[..., 1]], -1)
+        at_clasps = tensions[..., None] * of_parts
+        pull, down, arc = self.spans(positions[..., self.nodes, :], at_clasps)
 
         shape = np.broadcast_shapes(unknowns.shape[:-1], errors.shape[:-1])
         force = np.zeros((*shape, *positions.shape[-2:]), np.result_type(unknowns, errors))
@@ -131,22 +135,27 @@ class Rest:
     def spans(self, ends: Array, tensions: Array) -> tuple[Array, Array, Array]:
         """Return pull [N], weight at each end [N] and length [m] of a leg, an edge and a leg each.
 
-        With the chord s, its horizontal part h and the tension m at its middle, a span of weight w
-        per length has the energy ``m s - w² s h² / 24 m``. Its derivative by the chord is the pull,
-        its derivative by m the length; m grows by w per height of the middle. Spans that do not
-        exist have neither.
+        With a chord of the horizontal part D and the rise h, the tension m at its middle and its
+        length L, a span has the energy ``m (D² tanh σ / (σ L) + L + h² / L) / 2``, see ``parts``.
+        Its derivative by the chord is the pull, its derivative by m the length; m grows by the
+        weight per height of the middle. Spans that do not exist have neither.
         """
         w = self.weight
         chord = np.where(self.exists[..., None], ends[..., 1:, :] - ends[..., :-1, :], 0.0)
-        size = np.sqrt(np.sum(chord * chord, axis=-1))
-        level_square = chord[..., 0] ** 2 + chord[..., 1] ** 2
         middle = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
-        m = tensions[..., None] + w * (middle - self.heights[:, None])
-        bulge = w**2 / (24.0 * m)
-        along = (m - bulge * level_square) / np.where(self.exists, size, 1.0)
-        level_chord = chord * np.array([1.0, 1.0, 0.0])
-        pull = along[..., None] * chord - (2.0 * bulge * size)[..., None] * level_chord
-        length = size * (1.0 + bulge / m * level_square)
+        m = tensions + w * (middle - self.heights[:, None])
+        level_square = chord[..., 0] ** 2 + chord[..., 1] ** 2
+        rise_square = chord[..., 2] ** 2
+        along = chord
+        stretch = 1.0
+        if w:
+            factor = (0.5 * w / m) ** 2
+            y = solve(factor * rise_square, factor * level_square)
+            flatness = tanh_over(y)
+            along = chord * np.stack([flatness, flatness, np.ones_like(y)], axis=-1)
+            stretch = sinh_over(y) ** 2
+        length = np.sqrt(rise_square + stretch * level_square)
+        pull = (m / np.where(self.exists, length, 1.0))[..., None] * along
         down = np.zeros(pull.shape, dtype=pull.dtype)
         down[..., 2] = 0.5 * w * length
         return pull, down, length

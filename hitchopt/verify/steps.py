@@ -275,35 +275,36 @@ def assigned(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
 
 def legs(s: Step, value: Any, _: Mapping[str, Any], end: int = -1) -> Shown:
-    """Yield differences of lengths of q-legs, and of their roll where nothing weighs on clasps."""
+    """Yield differences of lengths of q-legs, and of their roll."""
     p = s.p
-    piece = s.pieces[end]
     sharing, roll = value, None
     if isinstance(value, dict):
         sharing, roll = value.get("sharing"), value.get("roll_deg")
     if isinstance(sharing, list):
-        chords = p.legs.c[0][piece, ::2, 0, end]
-        asked = np.array(sharing, dtype=float)
-        # Stated lengths are of cables, which are longer than their chords
-        sag = (p.weight / p.stated_tension[:, 0]) ** 2 * asked**3 / 24.0
-        yield from np.maximum(np.abs(chords - asked) - 2.0 * sag, 0.0).tolist()
+        cables = np.arange(p.n)
+        lengths = at_end(s, cables, end).leg_length(2 * cables).v[:, 0]
+        yield from (lengths - np.array(sharing, dtype=float)).tolist()
     if roll not in (None, "auto"):
         yield from (rolls(s, end) - np.radians(roll)).tolist()
+
+
+def at_end(s: Step, items: Items, end: int) -> Spans:
+    """Return spans of no width at the step's start (0) or end (-1)."""
+    zero = np.zeros(len(items))
+    return Spans(s.p, np.full(len(items), s.pieces[end]), items[:, None], zero - end, zero)
 
 
 def rolls(s: Step, end: int) -> Array:
     """Return the angles [rad] from the plane of a clasp's edges to its q-leg, positive upward.
 
-    They are about the sum of both legs' pulls.
+    They are about the sum of both legs' tensions at the clasp.
     """
     p = s.p
-    count = len(s.p.clasps)
-    zero = np.zeros(len(s.p.clasps))
     ahead = 2 * p.clasps
     behind = 2 * p.behind + 1
-    at = Spans(p, np.full(count, s.pieces[end]), ahead[:, None], zero - end, zero)
-    q, r = (normalize(at.leg_chord(i).v) for i in (ahead, behind))
-    axis = normalize(q * at.pull(ahead).v + r * at.pull(behind).v)
+    at = at_end(s, ahead, end)
+    q, r = (at.leg_part(i).first.v for i in (ahead, behind))
+    axis = normalize(q + r)
     bisector = normalize(at.edge(p.clasps)[0].v) + normalize(at.edge(p.behind)[1].v)
     level, leg = (x - np.sum(x * axis, 1, keepdims=True) * axis for x in (bisector, q))
     rise = np.sum(leg * np.cross(level, axis), 1)
