@@ -21,6 +21,7 @@ from hitchopt.errors import (
     optional_module,
 )
 from hitchopt.motion.flight import Flight
+from hitchopt.motion.loads import ramping
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import (
@@ -292,7 +293,7 @@ QUANTITIES = {
 
 HEADER = ",".join(("t", "drone", *(name for group in QUANTITIES.values() for name in group)))
 
-VERTICES_HEADER = "t,vertex,x,y,z,tension"
+VERTICES_HEADER = "t,vertex,x,y,z,tension,balanced"
 
 ROWS = 20_000  # Rows that are sampled at once
 DIGITS = 9  # Significant digits of numbers in tables of plans
@@ -329,8 +330,10 @@ def write_vertices(
 ) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has edge k's tension.
 
-    The tension of the last point of an open chain is empty. Vertices of several teams have names
-    such as ``b.p2``, one team after the other.
+    The last column is 1 where vertices are in balance there, and 0 while tensions rise or fall:
+    cables are then heavier than their tensions bear, and vertices below these places. The tension
+    of the last point of an open chain is empty. Vertices of several teams have names such as
+    ``b.p2``, one team after the other.
     """
     times = sample_times(flight.duration, rate)
 
@@ -338,12 +341,15 @@ def write_vertices(
         breaks = part.drones.breaks
         size = max(1, ROWS // points)
         plan_times = np.minimum(breaks[0] + t, breaks[-1])
-        formed = part.formed[np.searchsorted(breaks[1:-1], plan_times, side="right")]
+        piece = np.searchsorted(breaks[1:-1], plan_times, side="right")
+        formed = part.formed[piece]
+        balanced = ~ramping(part)[piece[formed]]
         t, plan_times = t[formed], plan_times[formed]
         for block in (slice(first, first + size) for first in range(0, len(t), size)):
-            values = np.full((len(t[block]), points, 4), np.nan)
+            values = np.full((len(t[block]), points, 5), np.nan)
             values[..., :3] = part.vertices.at(plan_times[block])
             values[:, : part.team.robots, 3] = part.tensions.at(plan_times[block])
+            values[..., 4] = balanced[block, None]
             yield t[block], values + 0.0  # no negative zeros
             if progress is not None:
                 progress(min(float(t[block][-1]) / float(times[-1] or 1.0), 1.0))

@@ -13,12 +13,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.drone_forces import edge_sags, reduced_factor
+from hitchopt.checks.drone_forces import edge_sags
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.friction import FrictionLegs
 from hitchopt.checks.grips import arc_lengths, wrapped_arcs
 from hitchopt.checks.objects import select
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans, worst_at_joint
+from hitchopt.checks.sagging import sagging_part
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
@@ -30,7 +31,6 @@ from hitchopt.checks.spans import (
     magnitude,
 )
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.taut import taut_part
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import Motion
 from hitchopt.objects.placing import REST_DRIFT
@@ -97,12 +97,12 @@ class Cables(MotionSpans):
         ratio = (half_density * tension.inverse).reduced(RATIO_ORDER) * (1.0 / self.scale)
         of_parts = Enclosed(ratio.c[:, None], np.asarray(ratio.r)[..., None])
         if not self.source.has_wraps:
-            cables = taut_part(self.parts, of_parts, reduced_factor).length
+            cables = sagging_part(self.parts, of_parts).length
             exists = self.source.team.layout.exists[self.item][:, [0, 2, 1], None]
             return ((cables - self.parts.norm) * exists.astype(np.float64)).sum()
         whole = Enclosed(self.read(_parts(self.source, True)), 2.0 * self.noise)
         chords = whole * self.scale[:, None]
-        cables = taut_part(chords, of_parts, reduced_factor).length
+        cables = sagging_part(chords, of_parts).length
         return (self.parts.norm * (cables * chords.norm.inverse - 1.0)).sum()
 
 
@@ -125,7 +125,11 @@ def _parts(motion: Motion, whole: bool = False) -> Array:
 
 
 def _length_error(spans: Cables) -> Bound:
-    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs."""
+    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs.
+
+    While tensions rise or fall, cables have the shape of the smallest stated tension: longer than
+    their straight parts, and as long as their drones will pull them.
+    """
     excess = spans.excess
     if spans.source.team.cable_density > 0.0:
         excess = excess + spans.sag

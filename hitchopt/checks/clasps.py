@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, with_tolerance
-from hitchopt.checks.drone_forces import reduced_factor
 from hitchopt.checks.friction import friction_excess, leg_excess
 from hitchopt.checks.grips import bent_freely, missing_force, unbalanced
 from hitchopt.checks.objects import select
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
+from hitchopt.checks.sagging import sagging_part
 from hitchopt.checks.spans import (
     MotionSpans,
     bent_edges,
@@ -35,8 +35,8 @@ from hitchopt.checks.spans import (
 from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import level_pull
-from hitchopt.hitch.taut import TautPart, taut_part
-from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
+from hitchopt.hitch.taut import TautPart
+from hitchopt.motion.loads import leg_tensions, object_loads, ramping, strut_shares, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
@@ -72,6 +72,9 @@ class ClaspSizes:
     edge_half_densities: Array
     half_loads: Array  # [N], half of the clasp's load
     loads: Array  # (pieces, clasps, 3, degree + 1) [N], forces of objects
+
+
+_ramping = cached(ramping)
 
 
 @cached
@@ -202,8 +205,7 @@ class Clasps(MotionSpans):
 
     def _taut(self, chords: Enclosed, half_densities: Array, tensions: Enclosed) -> TautPart:
         """Return parts (spans, 2) from the clasp, with their tensions there."""
-        ratio = reduced_factor(self.exact(half_densities) * tensions.inverse)
-        return taut_part(chords, ratio, reduced_factor)
+        return sagging_part(chords, self.exact(half_densities) * tensions.inverse)
 
     def _pulls_of_wrapped(self, legs: Enclosed, tensions: Enclosed) -> Enclosed:
         """Return the forces (spans, 2) [N] of edges that are wrapped around an object.
@@ -322,8 +324,14 @@ def _relative(force: Enclosed, spans: Clasps) -> Bound:
 
 
 def _balance(spans: Clasps) -> Bound:
-    """Return the norm of the residual over the smaller tension; infinite where a clasp is open."""
+    """Return the norm of the residual over the smaller tension; infinite where a clasp is open.
+
+    It is zero where no balance is claimed: while tensions rise or fall.
+    """
     residual = _relative(spans.residual, spans)
+    ramps = _ramping(spans.source)
+    if np.any(ramps):
+        residual = Bound(np.where(ramps[spans.piece], 0.0, residual.value), residual.x)
     if spans.hooked is not None and spans.hooked.all():
         return residual
     opening = _opening(spans)
@@ -454,5 +462,6 @@ EQUILIBRIUM = CheckRule(
     proves="the largest force residual at a clasp, over the smaller tension; the excess of a leg's "
     r"pull, over its edge's, beyond $e^{\pm\mu\beta}$ (friction); infinite if cables do not press "
     "on each other",
-    unproven="stiffness: vertices stay within millimetres only while drones are in place",
+    unproven="balance while tensions rise or fall (`tension`, `relax`); stiffness: vertices stay "
+    "within millimetres only while drones are in place",
 )

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from hitchopt.checks.sagging import sagging_part
 from hitchopt.checks.spans import UPWARD, cached, pull_vectors, without_shared_zeros
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import level_length, pull_terms, steepness
-from hitchopt.hitch.taut import taut_part
 from hitchopt.motion.loads import leg_tensions, reduce_constants, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.enclosed import Enclosed, Interval
@@ -33,9 +33,6 @@ their cable's pull is unbounded, and becomes almost infinite."""
 
 MIN_RELATIVE_SPAN = 1e-6
 """Smallest horizontal distance of a cable's drones over its length, in quotients."""
-
-TAUT_ORDER = 4
-"""Degree of factors of ``taut_part``: those of sags hardly change on spans that matter."""
 
 Q = TypeVar("Q", Enclosed, Jet)
 
@@ -79,11 +76,6 @@ def edge_sags(motion: Motion) -> SagTerms:
 def leg_sags(motion: Motion) -> SagTerms:
     """Return the terms of legs (pieces, 2n, degree + 1)."""
     return SagTerms.of(motion, taut_shares(motion), leg_tensions(motion))
-
-
-def reduced_factor(factor: Any) -> Any:
-    """Return a factor of products of ``taut_part`` in a low degree."""
-    return factor.reduced(TAUT_ORDER)
 
 
 def sagging_half_densities(motion: Motion) -> Array:
@@ -178,7 +170,7 @@ class DroneForces(ABC, Generic[Q]):
         tension = self.scalar_of(tensions_of_legs)
         if not self.has_weight:
             return self.along * tension
-        load: Q = taut_part(self.leg, self.sag, reduced_factor).force(second=True) * tension
+        load: Q = sagging_part(self.leg, self.sag).force(second=True) * tension
         if self.has_hanging:
             inward, downward = self.pull_terms
             slack_weight = self.half_density - self.half_density * self.scalar_of(taut_shares)

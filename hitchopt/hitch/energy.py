@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.taut import LARGEST_SMALL, sag_of, steep_sag_of
+from hitchopt.hitch.taut import LARGEST_SMALL, closed_sag, series_sag
 from hitchopt.hitch.team import Team
 from hitchopt.hitch.twists import bend
 from hitchopt.values import Array, Indices
@@ -216,7 +216,7 @@ class HitchEnergy:
         of_level = np.where(of_level.real < LARGEST_SAG, of_level, LARGEST_SAG)
         of_rise = squared_rise * squared_weight
         is_small = np.max((of_level + of_rise).real) < LARGEST_SMALL
-        sag = (sag_of if is_small else steep_sag_of)(of_level, of_rise)
+        sag = (series_sag if is_small else closed_sag)(of_level, of_rise)
         exists = self.exist
         lengths = np.sqrt(np.where(exists, squared_rise + squared_level * sag.stretch, 1.0))
         level = squared_level / (sag.bulge * lengths)

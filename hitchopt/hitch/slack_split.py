@@ -382,7 +382,7 @@ class LegBodies:
         )
 
     def lines(self, q_legs: Array) -> Lines:
-        """Return the lines of the nodes; heavy legs have their directions at lengths (…, J, n)."""
+        """Return the lines of the nodes; heavy legs have their sag at lengths (…, J, n)."""
         if self.task.team.cable_density > 0.0:
             return self._lines_at(q_legs)
         return self._constant_lines
@@ -392,22 +392,30 @@ class LegBodies:
         """Lines of the nodes on weightless legs."""
         return self._lines_at(self.task.reference)
 
+    @cached_property
+    def _leg_directions(self) -> Array:
+        """(2, J, n, 2 or 3): directions of q- and of r-legs at their points."""
+        task = self.task
+        team = task.team
+        loads = None if task.level else clasp_loads(team, task.slack, task.roll)
+        return np.stack(leg_directions(self.edges, team.tension, team.topology, loads))
+
     def _lines_at(self, q_legs: Array) -> Lines:
-        """Return the lines of the nodes, with the directions of legs at lengths (…, J, n) [m]."""
+        """Return the lines of the nodes, with the sag of legs at lengths (…, J, n) [m]."""
         task = self.task
         team = task.team
         layout = team.layout
         leading = q_legs.shape[:-2]
         points = np.broadcast_to(self.points, (*leading, *self.points.shape))
-        edges = np.broadcast_to(self.edges, (*leading, *self.edges.shape))
-        loads = None if task.level else clasp_loads(team, task.slack, task.roll)
-        to_q, to_r = leg_directions(edges, team.tension, team.topology, loads)
+        directions = self._leg_directions
+        to_q, to_r = np.broadcast_to(
+            directions[(slice(None), *[None] * len(leading))],
+            (2, *leading, *directions.shape[1:]),
+        )
         if team.cable_density > 0.0:  # chords of sagging legs, per length of cable
-            ratios = weight_ratios(team, team.tension)
-            unit_cables = np.ones_like(q_legs)
-            r_legs = task.slack - q_legs
-            to_q = leg_vectors(unit_cables, to_q, ratios * q_legs)
-            to_r = leg_vectors(unit_cables, to_r, ratios * r_legs)
+            lengths = np.stack([q_legs, task.slack - q_legs])
+            ratios = weight_ratios(team, team.tension) * lengths
+            to_q, to_r = leg_vectors(np.ones_like(lengths), np.stack([to_q, to_r]), ratios)
         q_base = points[..., layout.starts, :]
         r_base = points[..., layout.ends, :] + task.slack[..., None] * to_r
         return Lines(

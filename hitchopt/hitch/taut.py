@@ -57,13 +57,19 @@ class TautPart:
         )
 
 
-def taut_part(chord: Any, ratio: Any, low: Callable[[Any], Any] = lambda value: value) -> TautPart:
+def taut_part(
+    chord: Any,
+    ratio: Any,
+    low: Callable[[Any], Any] = lambda value: value,
+    sag_of: Callable[[Any, Any], Sag] | None = None,
+) -> TautPart:
     """Return the part with a chord, a vector [m].
 
     Parameters
     ----------
     ratio: half of the weight per length over the tension at the first end [1/m].
     low: reduces the degree of a factor; the identity for values without a degree.
+    sag_of: function in place of ``series_sag``.
     """
     level = chord.xy
     rise = chord[2]
@@ -72,11 +78,12 @@ def taut_part(chord: Any, ratio: Any, low: Callable[[Any], Any] = lambda value: 
     squared_weight = weight * weight
     squared_level = level.dot(level)
     squared_rise = rise * rise
-    sag = sag_of(low(squared_level * squared_weight), low(squared_rise * squared_weight), low)
+    of_level, of_rise = low(squared_level * squared_weight), low(squared_rise * squared_weight)
+    sag = series_sag(of_level, of_rise, low) if sag_of is None else sag_of(of_level, of_rise)
     length = (squared_rise + squared_level * sag.stretch).root
     per_length = mean * length.inverse
-    of_level = low(per_length * sag.bulge.inverse)
-    return TautPart(chord, length, of_level, low(per_length), ratio * length)
+    level_force = low(per_length * sag.bulge.inverse)
+    return TautPart(chord, length, level_force, low(per_length), ratio * length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +96,7 @@ class Sag:
 
     @property
     def bulge_slope(self) -> Any:
-        """Derivative of B by x, for arrays."""
+        """Derivative of B by x, for arrays: ``2 x B' = 1 / (1 - x) - B``."""
         is_flat = np.abs(self.x) < FLAT
         x = np.where(is_flat, 1.0, self.x)
         return np.where(is_flat, 1.0 / 3.0, (1.0 / (1.0 - self.x) - self.bulge) / (2.0 * x))
@@ -100,7 +107,7 @@ class Sag:
         return self.stretch * (1.0 / (1.0 - self.x) - 2.0 * self.bulge_slope / self.bulge)
 
 
-def sag_of(of_level: Any, of_rise: Any, low: Callable[[Any], Any] = lambda value: value) -> Sag:
+def series_sag(of_level: Any, of_rise: Any, low: Callable[[Any], Any] = lambda value: value) -> Sag:
     """Return the sag of a part, for ``(w D / 2m)²`` and ``(w h / 2m)²``: arrays or as above.
 
     It solves ``x = (w h / 2m)² + (w D / 2m)² S(x)``.
@@ -112,10 +119,10 @@ def sag_of(of_level: Any, of_rise: Any, low: Callable[[Any], Any] = lambda value
     return Sag(x, stretch, polynomial(BULGE, x, low))
 
 
-def steep_sag_of(of_level: Any, of_rise: Any) -> Sag:
-    """Return ``sag_of`` for real or complex arrays of any sag, in closed form, by Newton's method.
+def closed_sag(of_level: Any, of_rise: Any) -> Sag:
+    """Return ``series_sag`` for real or complex arrays of any sag, in closed form.
 
-    Slopes are ``2 x B' = 1 / (1 - x) - B`` and ``S' = S (1 / (1 - x) - 2 B' / B)``.
+    Newton's method solves for x.
     """
     x = of_level + of_rise
     for _ in range(NEWTON_ITERATIONS):

@@ -35,8 +35,8 @@ from hitchopt.checks.certificate import TOLERANCE
 from hitchopt.checks.chords import MIN_DISTANCE
 from hitchopt.checks.clasps import BALANCE_LIMIT
 from hitchopt.checks.distances import GROUND, Flags, Ground, Hulls, Moving, PairSpans, smallest
-from hitchopt.checks.drone_forces import reduced_factor
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
+from hitchopt.checks.sagging import sagging_part
 from hitchopt.checks.solids import pairs_with_shape
 from hitchopt.checks.spans import ROUNDING, cached, joined_arrays, magnitude
 from hitchopt.geometry.vectors import differences, shortest_offset, unit
@@ -44,7 +44,6 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.losses import Losses, displacements, places_after_loss
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.taut import taut_part
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import on_breaks_of
 from hitchopt.motion.states import TAUT_RATIO
@@ -459,9 +458,9 @@ def _chain_error(rows: Rows) -> Bound:
     edge = clasp - far
     chord = place - far
     ratio = tension.inverse * after.half_density
-    before = taut_part(edge, ratio, reduced_factor)
-    leg = taut_part(start - clasp, ratio, reduced_factor)
-    straight = taut_part(chord, ratio, reduced_factor)
+    before = sagging_part(edge, ratio)
+    leg = sagging_part(start - clasp, ratio)
+    straight = sagging_part(chord, ratio)
     excess = straight.length - before.length - leg.length
     longest = after.motion.team.cable_length[after.cable[rows.item], None]
     length_error = (excess * (1.0 / (LENGTH_LIMIT * longest))).norm_upper

@@ -213,6 +213,15 @@ def tautness(motion: Motion) -> Array:
     return np.where(motion.pulling[:, None, None], np.clip(shares, 0.0, 1.0), 0.0)
 
 
+def ramping(motion: Motion) -> NDArray[np.bool_]:
+    """Return on which pieces (pieces,) tensions of a hitch rise from or fall to those of no hitch.
+
+    Weights are scaled there with the tensions, so that no force jumps; real cables sag more, and
+    their vertices are lower.
+    """
+    return np.asarray(motion.formed & np.any(tautness(motion) < 1.0, axis=(1, 2)))
+
+
 def leg_tensions(motion: Motion) -> Array:
     """Return legs' tensions at their inner ends (pieces, 2n, degree + 1) [N]; 0 if free."""
     return np.where(motion.pulling[:, None, None], motion.pulls.coefficients, 0.0)

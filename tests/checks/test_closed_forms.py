@@ -255,7 +255,8 @@ def test_checks_match_closed_forms(name: str) -> None:
     motion = make()
     check, worst = row(motion, which), worst(motion) if callable(worst) else worst
     rel = {"convexity": 1e-4, "keep_out": 1e-3}.get(
-        which, 2e-5 if "off its point" in name else 1e-6
+        which,
+        5e-5 if "off its point" in name else 1e-6,  # a leg of 3 mm, and its bounds
     )
     assert check.worst == pytest.approx(worst, rel=rel, abs=1e-9)
     assert check.holds is holds

@@ -15,7 +15,7 @@ from hitchopt.hitch.energy import energy_of
 from hitchopt.hitch.forces import cable_of, leg_vectors, weight_ratios
 from hitchopt.hitch.rest_errors import loops_of, planned_rest
 from hitchopt.hitch.series import Series
-from hitchopt.hitch.taut import sag_of, steep_sag_of, taut_chord, taut_part
+from hitchopt.hitch.taut import closed_sag, series_sag, taut_chord, taut_part
 
 Array = NDArray[np.float64]
 
@@ -88,13 +88,13 @@ def test_parts_turned_about_the_vertical_and_reversed_are_the_same() -> None:
 
 def test_series_and_closed_forms_agree_as_their_slopes_do() -> None:
     level, rise = np.meshgrid(np.linspace(0.0, 0.1, 9), np.linspace(0.0, 0.02, 5))
-    series, exact = sag_of(level, rise), steep_sag_of(level, rise)
+    series, exact = series_sag(level, rise), closed_sag(level, rise)
     assert series.x == pytest.approx(exact.x, abs=5e-7)
     assert series.stretch == pytest.approx(exact.stretch, abs=5e-6)
     assert series.bulge == pytest.approx(exact.bulge, abs=2e-6)
     step = 1e-5
-    ahead, behind = (steep_sag_of(level[:, 1:] + sign * step, rise[:, 1:]) for sign in (1.0, -1.0))
-    mid = steep_sag_of(level[:, 1:], rise[:, 1:])
+    ahead, behind = (closed_sag(level[:, 1:] + sign * step, rise[:, 1:]) for sign in (1.0, -1.0))
+    mid = closed_sag(level[:, 1:], rise[:, 1:])
     change = ahead.x - behind.x
     assert (ahead.stretch - behind.stretch) / change == pytest.approx(mid.stretch_slope, rel=1e-6)
     assert (ahead.bulge - behind.bulge) / change == pytest.approx(mid.bulge_slope, rel=1e-6)
