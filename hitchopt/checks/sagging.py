@@ -15,7 +15,7 @@ ORDER = 4  # Degree of factors: sags hardly change on spans that matter
 
 CURVATURE = 2.0
 """Bound of all second derivatives of S and B by ``(w D / 2m)²`` and ``(w h / 2m)²``, times ``(1 -
-u)⁴``, u the sum of both."""
+u)⁶``, u the sum of both."""
 
 LARGEST = 0.4
 """Largest u, up to which the curvature is bounded: a part sags by a fifth of its length."""
@@ -46,7 +46,7 @@ def _enclosed_sag(of_level: Enclosed, of_rise: Enclosed) -> Sag:
     change = of_level.size + of_level.r + of_rise.size + of_rise.r
     largest = level + rise + change
     is_valid = is_taut & (largest < LARGEST)
-    curvature = CURVATURE / (1.0 - np.where(is_valid, largest, 0.0)) ** 4
+    curvature = CURVATURE / (1.0 - np.where(is_valid, largest, 0.0)) ** 6
     error = np.where(is_valid, 0.5 * curvature * change * change, np.inf)
 
     def tangent(value: Array, slope: Array) -> Enclosed:
