@@ -203,11 +203,11 @@ class Spans:
         p = self.plan
         if p.weight == 0.0:
             return None
-        ratio = maximum(p.tensions.on(self, k), p.min_tension[self.piece, k]).inverse()
-        if p.frictional:  # tensions of legs and edges differ for taut cables only
-            taut = self.tautness(k).low >= 1.0 - TOLERANCE
-            ratio = ratio.where(~taut) + maximum(T, MIN_TENSION).inverse().where(taut)
-        return ratio * p.weight
+        of_edge = p.tensions.on(self, k)
+        ratio = maximum(of_edge, p.min_tension[self.piece, k]).inverse() * p.weight
+        if p.frictional:
+            ratio = ratio * maximum(of_edge, MIN_TENSION) * maximum(T, MIN_TENSION).inverse()
+        return ratio
 
     def leg_part(self, i: Index) -> Part:
         """Return the parts of cables that pull drones, from the clasp to the drone."""

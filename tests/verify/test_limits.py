@@ -108,7 +108,12 @@ def test_cables_sag_toward_the_floor(tmp_path: Path) -> None:
     motion = planned("weight_hexagon").motion
     p, T = samples(motion, "vertices"), motion.team.tension
     ends = np.roll(p, -1, axis=1)
-    sag = motion.team.cable_density * GRAVITY * np.sum((ends - p) ** 2, axis=-1) / (8.0 * T)
+    # Level cables of span s hang by H/w (cosh σ - 1), for σ = w s / 2 H and T = H cosh σ
+    share = motion.team.cable_density * GRAVITY * np.linalg.norm(ends - p, axis=-1) / (2.0 * T)
+    sigma = share
+    for _ in range(50):
+        sigma = share * np.cosh(sigma)
+    sag = np.linalg.norm(ends - p, axis=-1) * (np.cosh(sigma) - 1.0) / (2.0 * sigma)
     lowest = np.min(0.5 * (p + ends)[..., 2] - sag)
     floor = min(float(np.min(p[..., 2])), float(np.min(samples(motion)[..., 2]))) - 1e-3
     assert lowest < floor
