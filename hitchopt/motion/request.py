@@ -284,7 +284,7 @@ def _with_keys_of(given: Any, actual: Any, motion: Motion) -> Any:
 def _unsagged(given: Mapping[str, Any], actual: Mapping[str, Any], motion: Motion) -> Any:
     """Return the legs that are given, if actual ones are shorter by no more than sags.
 
-    Legs of a motion are chords; lengths exceed them by ``(ρ g / T)² d³ / 24``.
+    Legs of a motion are chords; lengths exceed them by some ``(ρ g / T)² d³ / 24``.
     """
     if given.get("legs") is None or actual.get("legs") is None:
         return {}

@@ -48,9 +48,8 @@ MAX_EXTRA_LENGTH = 1.0  # [m] Largest length beyond the one that legs need
 WEIGHT_SAFETY = 2.0  # Smallest tension over the lowest one at which heavy cables balance
 
 MAX_EDGE_WEIGHT = 0.35
-"""Largest weight of half an edge over its tension. The sag of second order errs in the balance by
-the fourth power of it over six: 0.0025 of the tension, half of what clasps may be out of balance.
-"""
+"""Largest weight of half an edge over its tension: it then sags by a tenth of its length, up to
+which the series of ``hitchopt.hitch.taut`` are exact."""
 
 MAX_TENSION_RATIO = 30.0  # Largest over smallest tension of the search
 TENSIONS = 60  # Number of tensions of the search

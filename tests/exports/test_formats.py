@@ -36,6 +36,7 @@ from hitchopt.motion.flight import Flight, drone_places
 from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.view.style import drone_colours
+from tests.helpers.by_hand import catenary
 from tests.helpers.exported_plans import (
     EACH_FORMAT,
     Array,
@@ -246,9 +247,8 @@ def test_the_tables_of_a_solve_and_of_an_export_are_the_plan(tmp_path: Path) -> 
     assert end == ""
     assert [row.split(",")[1] for row in rows] == list(motion.team.drone_names) * len(t)
     leg = motion.drones.at(t)[:, 5] - motion.vertices.at(t)[:, 0]  # r2 hangs on p_0
-    length, half = np.linalg.norm(leg, axis=1, keepdims=True), 0.5 * 9.81 * 0.002
-    along = np.sqrt(0.42**2 - half**2 * np.sum(leg[:, :2] ** 2, axis=1, keepdims=True))
-    pull = -(along + half * leg[:, 2:]) / length * leg - half * length * [0.0, 0.0, 1.0]
+    _, end_of_leg, _ = catenary(leg, np.full(len(leg), 0.42), np.full(len(leg), 0.5 * 9.81 * 0.002))
+    pull = -end_of_leg
     for file, rounding in (
         (tmp_path / "s.csv", 5e-9),  # nine significant digits
         (tmp_path / "out" / "setpoints_enu.csv", 5e-12),
@@ -261,7 +261,7 @@ def test_the_tables_of_a_solve_and_of_an_export_are_the_plan(tmp_path: Path) -> 
         found = numbers(file, "cable_x cable_y cable_z", drone="r2")
         np.testing.assert_allclose(found, pull, atol=1e-9)
     write_vertices(tmp_path / "v.csv", ho.Flight.of(motion), rate)
-    assert (tmp_path / "v.csv").read_text().split("\n")[0] == "t,vertex,x,y,z,tension"
+    assert (tmp_path / "v.csv").read_text().split("\n")[0] == "t,vertex,x,y,z,tension,balanced"
     for k, tension in enumerate(motion.team.tension):
         found = numbers(tmp_path / "v.csv", "t x y z tension", vertex=str(k))
         expected = np.column_stack([t, motion.vertices.at(t)[:, k], np.full(len(t), tension)])
