@@ -597,7 +597,7 @@ def nullable(kind: Kind) -> Kind:
         return None if value is None else kind.check(key, value)
 
     schema = {"anyOf": [kind, {"type": NULL}]}
-    return Kind((*kind.forms, NULL), check, schema, kind.unit, accepted=(*kind.accepted, NULL))
+    return Kind((*kind.forms, NULL), check, schema, kind.unit, accepted=kind.accepted)
 
 
 def one_or_each(kind: Kind, min_length: int, max_length: int) -> Kind:
