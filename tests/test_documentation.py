@@ -254,7 +254,7 @@ def test_every_check_has_a_row_that_says_what_it_proves_and_what_not() -> None:
     assert all(f"(check-{name})=\n## `{name}`\n" in page for name in CHECKS)
     assert "must not fall below" in facts["separation"]
     assert "must not rise above" in facts["speed"]
-    assert "yes, against 0.001" in facts["cable_length"]
+    assert "yes, against 10 times the limit" in facts["cable_length"]
 
 
 def test_every_step_and_key_is_in_the_tables() -> None:

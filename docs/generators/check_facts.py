@@ -46,7 +46,11 @@ def _facts_of_check(rule: CheckRule) -> dict[str, str]:
     states = [str(state) for state in STATES if any(e.applies(state) for e in rule.evaluators)]
     names = "in any state" if len(states) == len(STATES) else ", ".join(states)
     exported = any(evaluator.exported for evaluator in rule.evaluators)
-    limit = "" if rule.exported_limit is None else f", against {rule.exported_limit:g}"
+    limit = ""
+    if rule.exported_share != 1.0:
+        limit = f", against {rule.exported_share:g} times the limit"
+    elif rule.exported_slack:
+        limit = f", against a limit lower by {rule.exported_slack:g} {rule.unit}"
     free_remedy = rule.free_remedy if rule.free_remedy != rule.remedy else ""
     return {
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",

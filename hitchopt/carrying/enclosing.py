@@ -33,6 +33,7 @@ from hitchopt.carrying.planner import (
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_down, rounded_up
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch.requirements import STANDING
 from hitchopt.motion.motion import Motion, Phase, PhaseHold
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, stacked_on
@@ -65,7 +66,7 @@ def object_of(task: StepTask, name: str) -> SolidObject:
     if body.friction == 0.0:
         bound, remedy = "above 0 if it is held", "only friction moves it along with the cables"
         raise RequestError(f"{key}.friction", 0.0, bound, remedy)
-    for other in stacked_on(objects, name, task.requirements.floor):
+    for other in stacked_on(objects, name, task.requirements.ground_for(STANDING)):
         at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held alone"
         raise RequestError(f"objects.{other}.at", at, bound, f"carry objects.{other} away first")
     return body
@@ -147,7 +148,7 @@ def _plan_around(
     polygon = orientation.around
     clearance = requirements.separation.object
     altitude = altitude_around(requirements.objects[name], requirements.separation)
-    height = altitude - requirements.floor
+    height = altitude - requirements.ground_for(STANDING)
     if height < clearance - CONTACT_GAP:
         key = f"objects.{name}"
         when = f"with the hitch around {key}"

@@ -23,7 +23,7 @@ from hitchopt.geometry.vectors import length, turn
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import cable_forces, if_balanced
 from hitchopt.hitch.pairs import TautBodies, limits_of, scales_of
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import STANDING, Requirements
 from hitchopt.motion.loads import RIM_CUT
 from hitchopt.objects.placing import in_frame, in_world
 from hitchopt.values import Array, known
@@ -259,7 +259,8 @@ class HoldSearch:
         thrusts[..., 2] += GRAVITY * team.mass
         tilts = np.arctan2(length(thrusts[..., :2]), thrusts[..., 2])
 
-        height = float(hold.body.at[2]) - requirements.floor - (1.0 - load_share) * self.gap
+        over_ground = float(hold.body.at[2]) - requirements.ground_for(STANDING)
+        height = over_ground - (1.0 - load_share) * self.gap
         margins = [
             (RIM_CUT - hold.rim_heights(curves)) / separation.object,
             1.0 - length(thrusts) / team.max_thrust,

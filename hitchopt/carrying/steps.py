@@ -26,7 +26,7 @@ from hitchopt.carrying.moves import Move
 from hitchopt.carrying.planner import LIFT_SPEED
 from hitchopt.errors import RequestError
 from hitchopt.hitch import Team
-from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.hitch.requirements import STANDING, Requirements, Separation
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, surface_below
 from hitchopt.planners.along import OBSTACLE_CHECKS
@@ -60,7 +60,8 @@ MAX_VIA = 100  # Maximum number of waypoints of one object
 def goal_of(step: Step, requirements: Requirements, name: str) -> Array:
     """Return the pose (4,) of a held object's base after a step: x, y, z [m], yaw [rad]."""
     objects = requirements.objects
-    below, _ = surface_below(objects, poses_of(objects), name, requirements.floor)
+    ground = requirements.ground_for(STANDING)
+    below, _ = surface_below(objects, poses_of(objects), name, ground)
     goal = step.place_after(objects[name], below)
     return objects[name].place if goal is None else goal
 

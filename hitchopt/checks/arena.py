@@ -1,13 +1,16 @@
-"""Check ``arena``: distances of drones, taut cables and held objects from the walls.
+"""Checks ``arena`` and ``floor``: drones, taut cables and objects within walls, above the floor.
 
-Hanging cables and objects are kept above the floor by ``cable_clearance`` and
-``object_clearance``.
+Hanging cables are kept above the ground by ``cable_clearance``, held objects by
+``object_clearance``, too.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from operator import attrgetter
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -36,11 +39,12 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, known
 
-EXPORTED_LIMIT = -1e-4
-"""[m] Limit of exported curves, which may pass a wall by this distance, as for a drone at rest on
-the floor."""
+S = TypeVar("S", bound=MotionSpans)
 
-FLOOR = "arena.lower[2]"  # Key of the floor
+EXPORTED_SLACK = 1e-4
+"""[m] Distance by which exported curves may pass a wall, as of a drone at rest on the floor."""
+
+LOWER_FACE = "arena.lower[2]"  # Key of the arena's floor
 CEILING = "arena.upper[2]"  # Key of the ceiling
 
 LARGEST_SHARE = 0.6
@@ -62,7 +66,7 @@ def on_floor_pieces(motion: Motion) -> Flags:
     places = motion.drones.coefficients
     heights = places[:, :, 2, [0, -1]]
     is_upright = np.all(np.ptp(places[:, :, :2], axis=-1) <= CONTACT_GAP, axis=-1)
-    touches = np.abs(heights - motion.requirements.floor) <= CONTACT_GAP
+    touches = np.abs(heights - motion.requirements.ground_or(-math.inf)) <= CONTACT_GAP
     at_floor = is_upright & np.any(touches, axis=-1)
     drones = len(places[0])
     runs_of_drone = np.cumsum(~is_upright, axis=0)
@@ -138,39 +142,39 @@ def _sagging_points(spans: Parts) -> tuple[Array, Array]:
     σ`` its slope at the ends, ``σ / cosh σ = w s / 2 T``. The polygon is lowered by S from u = 1/4
     to 3/4. Up to u = 1/4 it is lowered by ``4 S u``, along the tangent at its end, and so from 3/4
     on. Sloping parts sag less, by their mean tension; toward their lower end, they are below that
-    curve by less than 0.3 w h / 2 T of it, h their rise.
+    curve by less than 0.3 w h / 2 T of it, h their rise. Without weight, its ends suffice.
     """
     ends = spans.read(cable_parts(spans.source)[0])
+    if spans.source.team.cable_density == 0.0:
+        return ends, np.zeros(ends.shape[:2])
     start = ends[:, :1]
     along = ends[:, 1:] - start
-    sag: Array = np.zeros(len(spans))
-    if spans.source.team.cable_density > 0.0:
-        half_density, tension = spans.scalars(_part_sags(spans.source))
-        chord = Enclosed(along[:, 0]).norm_upper.value
-        shortest = Enclosed(along[:, 0]).norm_lower.value
-        descent = np.maximum(Enclosed(-along[:, 0, 2:]).upper.value, 0.0)
-        mean = tension.lower.value - half_density.upper.value * descent
-        share = half_density.upper.value * chord / np.where(mean > 0.0, mean, np.inf)
-        is_taut = (mean > 0.0) & (share < LARGEST_SHARE)
-        sigma = np.where(is_taut, share, 0.0)
-        for _ in range(STEEPNESS_ITERATIONS):
-            sigma = np.where(is_taut, share, 0.0) * np.cosh(sigma)
-        slope = Enclosed(along[:, 0, 2:]).norm_upper.value / np.maximum(shortest, MIN_CHORD)
-        sag = 0.25 * chord * np.sinh(sigma) * (1.0 + 0.3 * share * np.minimum(slope, 1.0))
-        sag = np.where(is_taut, sag, chord)
+    half_density, tension = spans.scalars(_part_sags(spans.source))
+    chord = Enclosed(along[:, 0]).norm_upper.value
+    shortest = Enclosed(along[:, 0]).norm_lower.value
+    descent = np.maximum(Enclosed(-along[:, 0, 2:]).upper.value, 0.0)
+    mean = tension.lower.value - half_density.upper.value * descent
+    share = half_density.upper.value * chord / np.where(mean > 0.0, mean, np.inf)
+    is_taut = (mean > 0.0) & (share < LARGEST_SHARE)
+    sigma = np.where(is_taut, share, 0.0)
+    for _ in range(STEEPNESS_ITERATIONS):
+        sigma = np.where(is_taut, share, 0.0) * np.cosh(sigma)
+    slope = Enclosed(along[:, 0, 2:]).norm_upper.value / np.maximum(shortest, MIN_CHORD)
+    sag = 0.25 * chord * np.sinh(sigma) * (1.0 + 0.3 * share * np.minimum(slope, 1.0))
+    sag = np.where(is_taut, sag, chord)
     is_inner = (FRACTIONS > 0.0) & (FRACTIONS < 1.0)
     points = start + FRACTIONS[:, None, None] * along
     return points, sag[:, None] * is_inner
 
 
-def height_above_floor(motion: Motion) -> float:
-    """Return the smallest height [m] of drones and taut cables above the floor at any time."""
+def lowest_height(motion: Motion) -> float:
+    """Return the smallest height [m] of drones and taut cables at any time."""
     heights = [motion.drones.coefficients[:, :, 2]]
     if np.all(motion.formed):
         for spans in Parts.of(motion):
             points, sag = _sagging_points(spans)
             heights.append(points[:, :, 2] - sag[..., None])
-    return min(float(np.min(each)) for each in heights) - motion.requirements.floor
+    return min(float(np.min(each)) for each in heights)
 
 
 def _object_wall_gap(motion: Motion, _: float) -> WorstCase:
@@ -240,7 +244,7 @@ def _arena_remedy(motion: Motion, check: Check) -> str:
         return ""
     wall = nearest_wall(motion, check)
     change = f"move the wall outward ({wall}), or keep the hitch farther from it"
-    if wall == FLOOR:
+    if wall == LOWER_FACE:
         is_start = check.time <= motion.drones.breaks[0]
         change = f"{'start or ' if is_start else ''}fly higher above the floor"
     elif wall == CEILING:
@@ -268,7 +272,7 @@ ARENA = CheckRule(
     ),
     ARENA_REMEDY,
     remedy_at=_arena_remedy,
-    exported_limit=EXPORTED_LIMIT,
+    exported_slack=EXPORTED_SLACK,
     group="distances",
     key="arena",
     bodies=(("drones", "walls"), ("cables", "walls"), ("held", "walls")),
@@ -276,3 +280,99 @@ ARENA = CheckRule(
     unproven="where propellers reach: drones are points",
 )
 """Drones, taut cables and held objects stay in the arena."""
+
+
+def _floor_gap(spans: MotionSpans, heights: Array) -> Bound:
+    """Return the smallest height over the floor of points [m].
+
+    Their heights are polynomials (spans, points, degree + 1) [m].
+    """
+    requirements = spans.source.requirements
+    floor = known(requirements.limits.floor)
+    lowest = np.min(heights - floor, axis=1, keepdims=True) / requirements.height_ratio
+    return Enclosed(lowest, ROUNDING * (magnitude(spans.source) + abs(floor))).lower
+
+
+def drone_floor_gap(spans: Drones, *, on_floor: bool = True) -> Bound:
+    """Return the height of drones over the floor [m].
+
+    With ``on_floor``, it also counts for drones that rest there, take off or land.
+    """
+    heights = spans.read(spans.source.drones.coefficients[:, :, 2])[:, None]
+    if not on_floor:
+        rests = on_floor_pieces(spans.source)[spans.piece, spans.item, None, None]
+        heights = heights + UNBOUNDED * rests
+    return _floor_gap(spans, heights)
+
+
+def _part_floor_gap(spans: Parts) -> Bound:
+    """Return the height of taut cables, which sag, over the floor [m]."""
+    points, sag = _sagging_points(spans)
+    return _floor_gap(spans, points[:, :, 2] - sag[..., None])
+
+
+def _object_floor_gap(motion: Motion, limit: float) -> WorstCase:
+    """Return the smallest height [m] of an object that is not fixed; it may stand on the floor."""
+    cases = [WorstCase(math.inf, 0.0)]
+    for name, body, pose in placed_objects(motion):
+        if body.fixed:
+            continue
+        bottom = pose.c[:, None, 2] + min(slab.lower for slab in body.slabs)
+
+        def gap(spans: MotionSpans, bottom: Array = bottom) -> Bound:
+            height = _floor_gap(spans, spans.read(bottom)[:, None])
+            stands = np.abs(height.value) <= CONTACT_GAP
+            return Bound(np.where(stands, 0.0, height.value), height.x)
+
+        lowest = worst(MotionSpans.all_of(motion, motion.drones.breaks, 1), gap, "min")
+        cases.append(WorstCase(limit + lowest.worst, lowest.time, (name,)))
+    return min(cases, key=lambda case: case.worst)
+
+
+def _height(gap: Callable[[S], Bound], spans: S) -> Bound:
+    """Return the height [m] from one over the floor."""
+    over_floor = gap(spans)
+    floor = known(spans.source.requirements.limits.floor)
+    return Bound(over_floor.value + floor, over_floor.x)
+
+
+FLOOR_REMEDY = "fly higher above the floor, or lower limits.floor"
+
+
+def _floor_remedy(motion: Motion, check: Check) -> str:
+    """Return the suggested change of a hitch that starts below the floor, or goes there."""
+    is_start = check.time <= motion.drones.breaks[0]
+    return f"{'start or ' if is_start else ''}{FLOOR_REMEDY}"
+
+
+FLOOR = CheckRule(
+    "floor",
+    "m",
+    "min",
+    attrgetter("requirements.limits.floor"),
+    (
+        Evaluator(
+            WorstOverSpans(Drones, partial(_height, drone_floor_gap), "min", magnitude),
+            exported=True,
+        ),
+        Evaluator(
+            WorstOverSpans(Parts, partial(_height, _part_floor_gap), "min", magnitude),
+            lambda state: state.hitched,
+        ),
+        Evaluator(_object_floor_gap),
+    ),
+    FLOOR_REMEDY,
+    start_remedy=f"start or {FLOOR_REMEDY}",
+    remedy_at=_floor_remedy,
+    exported_slack=EXPORTED_SLACK,
+    group="distances",
+    key="limits.floor",
+    bodies=(("drones", "ground"), ("cables", "ground"), ("held", "ground")),
+    proves="the smallest height [m] of a drone, load, taut cable or object; hanging cables keep "
+    "separation.cable from the ground",
+    unproven="the height of real ground",
+)
+"""Drones, taut cables and objects stay above the floor, on which drones and objects may stand.
+
+With tracking errors heights over it are divided by their ratio, as all heights in distances are.
+"""

@@ -44,7 +44,7 @@ LENGTH_LIMIT = 1e-4
 """Largest relative error of a cable's length: 0.2 mm of a cable of 2 m, well below the length of a
 knot or a strain of 0.5 N."""
 
-EXPORTED_LIMIT = 1e-3  # The same for files, which store millimetres
+EXPORTED_SHARE = 10.0  # The same limit for files, which store millimetres, over that for plans
 
 TENSION_LIMIT = 1e-4
 """[N] Largest error of a tension: a quarter of a thousandth of a usual one, far below what a drone
@@ -181,7 +181,7 @@ CABLE_LENGTH = CheckRule(
     is_error=True,
     proves="the largest relative error of a cable's length: 1e-4 is 0.2 mm of 2 m",
     unproven="how far it stretches",
-    exported_limit=EXPORTED_LIMIT,
+    exported_share=EXPORTED_SHARE,
 )
 """Relative error of a cable's length; during tightening, the missing length."""
 

@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
-from hitchopt.checks import arena, tracking
+from hitchopt.checks import tracking
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.custom import Rule, checked_rules
-from hitchopt.checks.distances import GROUND, UNBOUNDED
+from hitchopt.checks.distances import GROUND
 from hitchopt.checks.linking import CONTINUITY, DURATION
 from hitchopt.checks.registry import (
     NAMES,
@@ -25,13 +25,11 @@ from hitchopt.checks.registry import (
 from hitchopt.checks.rule import CheckRule, FlightReport, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA, TRACKING_RADIUS
-from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import flight_digest
 from hitchopt.motion.retiming import padded
 from hitchopt.motion.stated_rules import StatedRule
-from hitchopt.objects.placing import CONTACT_GAP
 from hitchopt.slices import provided
 from hitchopt.values import check_instance, nonnegative, sequence
 from hitchopt.values.fields import suggest_keywords
@@ -241,24 +239,6 @@ def check_of(rule: CheckRule, flight: Flight, *, exported: bool = False) -> Chec
     checks = [_label(rule.check(flown.motion, exported=exported), flown) for flown in flight.teams]
     several = len(flight.all_teams) > 1
     return worst_of([*checks, _between_teams(rule, flight) if several else None])
-
-
-ABOVE_GROUND = Arena([-UNBOUNDED, -UNBOUNDED, 0.0], [UNBOUNDED, UNBOUNDED, UNBOUNDED])
-"""Space above the ground, z = 0."""
-
-
-def below_ground(flight: Flight) -> Check | None:
-    """Return the height above z = 0 [m] as a check if it is negative and there is no arena."""
-    if flight.requirements.arena is not None:
-        return None
-
-    def over_ground(motion: Motion) -> Motion:
-        """Return a motion within the space above the ground."""
-        above = replace(motion.requirements, arena=ABOVE_GROUND)
-        return motion.replaced(requirements=above)
-
-    check = check_of(arena.ARENA, flight.each_team(over_ground))
-    return None if check is None or check.worst >= -CONTACT_GAP else check
 
 
 def _between_teams(rule: CheckRule, flight: Flight) -> Check | None:

@@ -9,6 +9,7 @@ ground, between their drones.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -98,7 +99,7 @@ def _drones_and_hanging(motion: Motion) -> Iterator[Moving]:
     for part in phase_parts(motion):
         yield cables_and_drones(part.motion)
         yield drones_and_own_cables(part.motion)
-        yield cables_and_ground(part.motion)
+        yield from cables_and_ground(part.motion)
 
 
 def _drones_and_clasped(motion: Motion) -> Iterator[Moving]:
@@ -127,7 +128,8 @@ def _loose_and_ground(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of the regions of loose cables and the ground."""
     regions = clasped_cables(motion)
     points = Enclosed(regions.corners[:, :, regions.outline :])
-    yield pairs_with_shape(motion, points, regions.names, GROUND, lowered_ground(motion))
+    for ground in lowered_ground(motion):
+        yield pairs_with_shape(motion, points, regions.names, GROUND, ground)
 
 
 CABLE_CLEARANCE = CheckRule(
@@ -238,7 +240,7 @@ def _taut_and_objects(motion: Motion) -> Iterator[Moving]:
     cuts a rim that rests on it higher than RIM_CUT.
     """
     taut = taut_cables(motion)
-    yield _entered_ground(motion, taut)
+    yield from _entered_ground(motion, taut)
     for placed in placed_objects(motion):
         is_holding = _holding_parts(motion, placed.name, taut.part)
         yield from _entered_object(motion, taut, placed, is_holding)
@@ -246,17 +248,18 @@ def _taut_and_objects(motion: Motion) -> Iterator[Moving]:
             yield _pairs_with_cables(motion, taut, placed, Solid(slab), active=~is_holding)
 
 
-def _entered_ground(motion: Motion, taut: Bodies) -> Moving:
-    """Return the pairs of the ground and cables while they hold an object.
+def _entered_ground(motion: Motion, taut: Bodies) -> Iterator[Moving]:
+    """Yield the pairs of the ground, if there is one, and cables while they hold an object.
 
     No part is lower than its ends and the bends of edges wrapped around an object.
     """
+    floor = motion.requirements.floor
+    if floor is None:
+        return
     active = np.repeat(motion.holding[:, None], len(taut.part), axis=1)
-    ground = Ground(motion.requirements.floor - 2.0 * ENTRY_DISTANCE)
+    ground = Ground(floor - 2.0 * ENTRY_DISTANCE)
     points = Enclosed(taut.corners)
-    return pairs_with_shape(
-        motion, points, taut.names, GROUND, ground, active=active, formula=entry
-    )
+    yield pairs_with_shape(motion, points, taut.names, GROUND, ground, active=active, formula=entry)
 
 
 def _holding_parts(motion: Motion, name: str, parts: Indices) -> Flags:
@@ -363,7 +366,7 @@ def moving_object_pairs(motion: Motion) -> Iterator[Moving]:
         if not np.any(is_moving):
             continue
         for other in (*every, None):  # None is the ground
-            if other is placed:
+            if other is placed or (other is None and motion.requirements.floor is None):
                 continue
             is_apart = is_moving & ~_on_support(motion, placed, other)
             yield from _pairs_of_objects(motion, placed, other, is_apart)
@@ -380,7 +383,7 @@ def _on_support(motion: Motion, placed: PlacedObject, other: PlacedObject | None
     These are runs of pieces on which it moves vertically, one of which begins or ends in contact,
     and the first run above the support on which it stands at the start.
     """
-    floor = motion.requirements.floor
+    floor = motion.requirements.ground_or(-math.inf)
     is_vertical = np.max(_travel(placed)[:, [0, 1, 3, 4]], axis=-1) <= CONTACT_GAP
     base = placed.pose.c[:, 2] + placed.body.lower
     heights = base - floor if other is None else base - other.pose.c[:, 2] - other.body.upper
@@ -420,7 +423,7 @@ def _pairs_of_objects(
     name, body, pose = placed
     for slab in body.slabs:
         corners = placed_corners(pose, slab)
-        shapes: list[Shape] = [Ground(motion.requirements.floor)]
+        shapes: list[Shape] = [Ground(motion.requirements.ground_or(-math.inf))]
         if other is not None:
             rounding = slab.section.rounding
             shapes = [Solid(other_slab, rounding) for other_slab in other.body.slabs]

@@ -8,7 +8,7 @@ the deviation of its steepness from that at mid time (see ``hitchopt.hitch.caten
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -234,28 +234,31 @@ def drones_and_own_cables(motion: Motion) -> Moving:
     )
 
 
-def cables_and_ground(motion: Motion) -> Moving:
-    """Return the pairs of hanging cables and the ground."""
-    cables = cables_and_drones(motion)
-    return replace(
-        cables,
-        second=np.zeros((len(cables.first), 1, 1, 3, 1)),
-        names=(cables.names[0], (GROUND,)),
-        allowed=None,
-        shape=lowered_ground(motion),
-    )
+def cables_and_ground(motion: Motion) -> Iterator[Moving]:
+    """Yield the pairs of hanging cables and the ground, if there is one."""
+    for ground in lowered_ground(motion):
+        cables = cables_and_drones(motion)
+        yield replace(
+            cables,
+            second=np.zeros((len(cables.first), 1, 1, 3, 1)),
+            names=(cables.names[0], (GROUND,)),
+            allowed=None,
+            shape=ground,
+        )
 
 
-def lowered_ground(motion: Motion) -> Ground:
-    """Return the ground, from which cables keep the limit of their clearance.
+def lowered_ground(motion: Motion) -> Iterator[Ground]:
+    """Yield the ground, if there is one, from which cables keep the limit of their clearance.
 
     It is lowered so that cables at ``Requirements.ground_clearance`` keep the limit where heights
     are divided by ``height_ratio``: that division lengthens their distances only.
     """
     requirements = motion.requirements
+    if requirements.floor is None:
+        return
     scaled_limit = requirements.height_ratio * requirements.separation.cable
     lowered = scaled_limit - requirements.ground_clearance
-    return Ground(requirements.floor - lowered)
+    yield Ground(requirements.floor - lowered)
 
 
 def chain_distance(spans: PairSpans, shape: Shape | None = None, beyond: float = 0.0) -> Bound:
@@ -286,9 +289,9 @@ def chain_distance(spans: PairSpans, shape: Shape | None = None, beyond: float =
 
 
 def above_ground(motion: Motion) -> bool:
-    """Return whether hanging cables would keep ``separation.cable`` from the ground."""
+    """Return whether hanging cables would keep ``separation.cable`` from the ground, if any."""
     limit = motion.requirements.separation.cable
-    closest = nearest(lambda motion: [cables_and_ground(motion)])(motion, limit)
+    closest = nearest(cables_and_ground)(motion, limit)
     return closest.worst >= with_tolerance(limit, "min", closest.size)
 
 

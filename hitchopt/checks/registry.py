@@ -42,6 +42,7 @@ RULES: tuple[CheckRule, ...] = (
     clasps.EQUILIBRIUM,
     convexity.CONVEXITY,
     arena.ARENA,
+    arena.FLOOR,
     clearance.KEEP_OUT,
     DOWNWASH,
     cables.TENSION,

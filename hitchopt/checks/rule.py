@@ -215,8 +215,8 @@ class CheckRule(Quantity):
 
     # True if a joined motion is checked as a whole, since its parts do not cover the joints
     whole: bool = False
-    exported_limit: float | None = None  # The limit for exported curves, if different
     exported_share: float = 1.0  # The limit for exported curves, over that for planned ones
+    exported_slack: float = 0.0  # By how much these may pass a lower limit
     # The suggested change at the start without a hitch, where users place drones, if different
     start_remedy: str = ""
     remedy_at: Callable[[Motion, Check], str] = lambda _motion, _check: ""
@@ -253,8 +253,7 @@ class CheckRule(Quantity):
         if limit is None:
             return ()
         if exported:
-            limit *= self.exported_share
-            limit = limit if self.exported_limit is None else self.exported_limit
+            limit = self.exported_share * limit - self.exported_slack
         results = list[SpanResult]()
         with np.errstate(all="ignore"):  # coefficients may have any value: nan fails a check
             for evaluator in self.evaluators:

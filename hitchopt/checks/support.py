@@ -168,9 +168,10 @@ def _floating(motion: Motion, index: int, name: str, at_rest: Mask) -> Mask:
     distinct_poses, inverse = np.unique(poses, axis=0, return_inverse=True)
     case_of_piece = inverse.ravel()
     is_supported = np.zeros(len(distinct_poses), dtype=np.bool_)
+    floor = motion.requirements.ground_or(-math.inf)
     for case in np.unique(case_of_piece[at_rest]):
         places = distinct_poses[case]
-        surface, _ = surface_below(objects, places, name, motion.requirements.floor)
+        surface, _ = surface_below(objects, places, name, floor)
         gap = float(places[index, 2]) + objects[name].lower - surface
         is_supported[case] = abs(gap) <= CONTACT_GAP
     return at_rest & ~is_supported[case_of_piece]

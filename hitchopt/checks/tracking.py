@@ -30,7 +30,7 @@ from functools import partial
 
 import numpy as np
 
-from hitchopt.checks.arena import ARENA, drone_wall_gap
+from hitchopt.checks.arena import ARENA, FLOOR, drone_floor_gap, drone_wall_gap
 from hitchopt.checks.bodies import drones_of
 from hitchopt.checks.cables import SPAN
 from hitchopt.checks.certificate import Check
@@ -113,7 +113,7 @@ def _slack_radii(motion: Motion, results: SpanResults, gamma: float) -> Iterator
         if rule is OBJECT_CLEARANCE and not is_limited:
             continue
         for result in results[rule]:
-            on_floor = rule is ARENA and result.applies(CableState.FREE)
+            on_floor = rule in (ARENA, FLOOR) and result.applies(CableState.FREE)
             if on_floor or (rule in HANGING_CHECKS and _is_hanging(result)):
                 continue
             hitched = result.applies(CableState.HITCHED)
@@ -130,13 +130,14 @@ def _downwash_radii(motion: Motion, results: SpanResults) -> Iterator[WorstCase]
 
 
 def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
-    """Yield the distance [m] to walls, if any, of drones that are not at rest on the floor."""
-    if motion.requirements.arena is None:
-        return
-    closest = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
-    drone = motion.team.drone_names[closest.item]
-    radius = max(closest.worst, 0.0)
-    yield WorstCase(radius, closest.time, (drone,), binding=ARENA.name)
+    """Yield distances [m] to walls and floor, if any, of drones that are not at rest on it."""
+    for rule, distance in ((ARENA, drone_wall_gap), (FLOOR, drone_floor_gap)):
+        if rule.limit_of(motion) is None:
+            continue
+        closest = worst(Drones.of(motion), partial(distance, on_floor=False), "min")
+        drone = motion.team.drone_names[closest.item]
+        radius = max(closest.worst, 0.0)
+        yield WorstCase(radius, closest.time, (drone,), binding=rule.name)
 
 
 def _span_radii(motion: Motion) -> Iterator[WorstCase]:

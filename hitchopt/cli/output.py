@@ -168,12 +168,6 @@ def show_plan(title: str, flight: ho.Flight, certificate: ho.Certificate) -> Non
     message = f"{phase_table(flight.phases)}\n\n{certificate}\n"
     message = f"{title}\n{message}" if title else message
     say(message, title=title, phases=phases, certificate=certificate.to_dict())
-    from hitchopt.checks.certifying import below_ground
-
-    low = below_ground(flight)
-    if low is not None:
-        depth = f"{', '.join(low.where)} is {-low.worst:.4g} m below z = 0 at t = {low.time:.4g} s"
-        say(f"warning: {depth}; add an arena, whose floor is the ground", err=True)
 
 
 def show_notes(plan: ho.Plan) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -155,8 +156,11 @@ class ExportTask:
         return self.plan.drones.at(min(t, self.plan.duration))[self.order]
 
     def heights(self, t: float) -> Array:
-        """Return the drones' heights (D,) [m] above the floor at a time, without offsets."""
-        heights: Array = self.planned(t)[:, 2] - self.flight.requirements.floor
+        """Return the drones' heights (D,) [m] above the floor at a time, without offsets.
+
+        They are infinite without one.
+        """
+        heights: Array = self.planned(t)[:, 2] - self.flight.requirements.ground_or(-math.inf)
         return heights
 
     def blocks(self, rows: int) -> Iterator[tuple[Array, dict[str, Array]]]:

@@ -23,7 +23,7 @@ from hitchopt.forming.prehitch import MAX_SPAN_RATIO
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import GOLDEN, TIE, cross
 from hitchopt.hitch import Team
-from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.hitch.requirements import HANGING, Requirements, Separation
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.motion import TAKE_OFF, Motion
@@ -195,7 +195,8 @@ class OverApproach(DirectApproach):
     def obstacle_height(self) -> float:
         """Height of the highest object over the ground [m]."""
         bodies = self.requirements.objects.values()
-        return max(float(body.at[2]) + body.upper for body in bodies) - self.requirements.floor
+        highest = max(float(body.at[2]) + body.upper for body in bodies)
+        return highest - self.requirements.ground_for(HANGING)
 
 
 class Headings(NamedTuple):

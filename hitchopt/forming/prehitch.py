@@ -26,7 +26,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_tensions
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
-from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.requirements import HANGING, Limits, Requirements, Separation
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.stages import (
@@ -308,7 +308,8 @@ class PreHitch:
             hover_altitude(hitch.team, start + share * (hitch.drones - start), requirements)
             for share in TIGHTENING_SHARES
         ]
-        lowest_of_swaps = requirements.floor + ground_clearance(requirements) + self.depth
+        ground = requirements.ground_for(HANGING)
+        lowest_of_swaps = ground + ground_clearance(requirements) + self.depth
         altitude = max(hitch.altitude, lowest_of_swaps, *altitudes)
         rise = altitude - hitch.altitude
         if rise <= ALTITUDE_TOLERANCE:

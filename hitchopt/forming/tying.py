@@ -29,7 +29,7 @@ from hitchopt.forming.swap_settings import SwapSettings
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import LANDING, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.motion import Motion, Phase, concatenated
@@ -316,7 +316,7 @@ def flight_over(task: StepTask, spots: Array, *, in_order: bool) -> StepPlan:
         places = assign_pairs(before.drones, pairs, excluded=too_far).drones
     goal = np.zeros(before.drones.shape)
     goal[places, :2] = spots
-    goal[:, 2] = task.requirements.floor
+    goal[:, 2] = task.requirements.ground_for(LANDING)
     check_hover(task, goal, "landed")
     altitude = hover_altitude(team, goal, task.requirements)
     goal[:, 2] = max(altitude, float(np.max(before.drones[:, 2])))
@@ -329,7 +329,7 @@ def descent(task: StepTask) -> StepPlan:
     before = task.before
     requirements = task.requirements
     flat = np.array([1.0, 1.0, 0.0])
-    floor = requirements.floor * np.array([0.0, 0.0, 1.0])
+    floor = requirements.ground_for(LANDING) * np.array([0.0, 0.0, 1.0])
     landed = before.drones * flat + floor
     flight = straight_lines(before.team, requirements.limits, before.drones, landed)
     motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)

@@ -13,17 +13,23 @@ from numpy.typing import ArrayLike
 
 from hitchopt.drones.controllers import TRACKING, Tube
 from hitchopt.drones.quadrotor import MODELS
-from hitchopt.errors import InputError, OneLine, UnitWarning, rounded_up
+from hitchopt.errors import InputError, OneLine, RequestError, UnitWarning, rounded_up
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.losses import displacements
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
+from hitchopt.objects.placing import check_placed
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, ByValue, check_instance, known, lazy, sequence, units
 from hitchopt.values.fields import Key, documented, points, store, store_degrees, with_fields, words
 
 ROUNDING_FACTOR = 1.0 + 2e-9
 """Factor of ``tracking`` in the planners' distances, so that rounding violates no limit."""
+
+STANDING = "an object that stands"
+HANGING = "a cable that hangs free"
+LANDING = "a landing"
+"""What needs the ground, in messages without one."""
 
 MAX_CORNERS = 1000  # Largest number of corners of one outline in a file
 
@@ -105,6 +111,15 @@ class Limits(OneLine):
             omitted=True,
         ),
     ] = None
+    floor: Annotated[
+        float | None,
+        Key(
+            units.FLOOR,
+            "Height of the ground, above which drones, loads, objects and taut or hanging cables "
+            "stay; the arena's lower face if that is higher; null: none, or the arena's lower face",
+            omitted=True,
+        ),
+    ] = 0.0
     tilt_deg: InitVar[float | None] = field(default=None, kw_only=True)
     body_rate_deg: InitVar[float | None] = field(default=None, kw_only=True)
 
@@ -347,9 +362,30 @@ class Requirements(ByValue):
         object.__setattr__(self, "objects", dict(self.objects))
 
     @property
-    def floor(self) -> float:
-        """Height of the ground [m]: the arena's floor, or 0 without an arena."""
-        return 0.0 if self.arena is None else float(self.arena.lower[2])
+    def floor(self) -> float | None:
+        """Height of the ground [m]: the higher of ``limits.floor`` and the arena's lower face.
+
+        None without both.
+        """
+        lower_face = None if self.arena is None else float(self.arena.lower[2])
+        heights = [each for each in (self.limits.floor, lower_face) if each is not None]
+        return max(heights, default=None)
+
+    def ground_for(self, purpose: str) -> float:
+        """Return the height of the ground [m]; RequestError names a ``purpose`` without one."""
+        if self.floor is None:
+            bound = f"a height [m]: {purpose} needs the ground"
+            raise RequestError("limits.floor", None, bound, "set limits.floor, or add an arena")
+        return self.floor
+
+    def check_placed(self) -> None:
+        """Raise InputError for an object that floats, overlaps another one or lacks the ground."""
+        if any(not body.fixed for body in self.objects.values()):
+            check_placed(self.objects, self.ground_for(STANDING))
+
+    def ground_or(self, height: float) -> float:
+        """Return the height of the ground, or without one another height [m]."""
+        return height if self.floor is None else self.floor
 
     @property
     def ground_clearance(self) -> float:
@@ -374,7 +410,7 @@ class Requirements(ByValue):
     def with_reserve(self) -> Requirements:
         """Requirements enforced by planners: limits with reserve, distances wider by ``tracking``.
 
-        The arena's floor does not move, since drones rest there.
+        The floor does not move, since drones rest there.
         """
         limits = self.limits.with_reserve
         tube = self.limits.tube

@@ -23,14 +23,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from hitchopt.checks import Certificate, Check, certify
-from hitchopt.checks.arena import height_above_floor
+from hitchopt.checks.arena import lowest_height
 from hitchopt.checks.certifying import check_of
 from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.directory import ABORT_PLANS, ABORTS
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import LANDING, Requirements
 from hitchopt.live.player import Player
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.flight import REST_RATE, Flight, TeamMotion
@@ -446,10 +446,11 @@ def _descent(hitch: Hitch, requirements: Requirements, index: int) -> Motion:
 
     Raises InfeasibleError if its cables would be there first.
     """
-    depth = float(np.min(hitch.drones[:, 2])) - requirements.floor
+    ground = requirements.ground_for(LANDING)
+    depth = float(np.min(hitch.drones[:, 2])) - ground
     phase = Phase("land", index, 0.0, 0.0)
     landed = vertical_motion(hitch, hitch.altitude - depth, requirements, phase)
-    height = height_above_floor(landed)
+    height = lowest_height(landed) - ground
     if height < -CONTACT_GAP:
         reason = f"by landing the hitch: its cables would be {-height:.2g} m below the ground"
         raise _refusal(reason, "choose release_and_land, or hold")
@@ -478,7 +479,7 @@ def straight_down(whole: Motion) -> Motion:
     need = replace(whole.requirements, objects=objects_at(whole, -1))
     drones = whole.drones.coefficients[-1, ..., -1]
     index = whole.phases[-1].step + 1
-    ground = drones * [1.0, 1.0, 0.0] + [0.0, 0.0, need.floor]
+    ground = drones * [1.0, 1.0, 0.0] + [0.0, 0.0, need.ground_for(LANDING)]
     flight = straight_lines(team, need.limits.with_reserve, drones, ground)
     state = CableState.GROUND if team.has_cables else CableState.NONE
     return stage("land", flight, team, need, index, state)

@@ -111,7 +111,8 @@ class CommandedPlan:
         if not self._player.resting or self._player.time < flight.duration - JOINT:
             return False
         heights = flight.drones.coefficients[-1, :, 2, -1]
-        return self.descending or bool(np.all(heights <= flight.requirements.floor + JOINT))
+        ground = flight.requirements.ground_or(-math.inf)
+        return self.descending or bool(np.all(heights <= ground + JOINT))
 
     def step(self, seconds: float) -> FleetSetpoints:
         """Advance the time [s] and return the setpoints to send.

@@ -285,6 +285,8 @@ class AfterLoss:
             moving = self._between(first, second, table).flattened(need.height_ratio)
             yield Case(check, limit, moving)
         every = np.ones(len(self.drone), dtype=np.bool_)
+        if need.floor is None:
+            return
         for regions, on in ((self.loose, every), (whole, np.any(self.is_whole, axis=0))):
             bottom = Enclosed(regions.corners[:, :, regions.outline :])
             moving = pairs_with_shape(

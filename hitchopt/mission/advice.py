@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.checks import Certificate
-from hitchopt.checks.arena import ARENA, nearest_wall
+from hitchopt.checks.arena import ARENA, FLOOR, nearest_wall
 from hitchopt.checks.linking import DURATION
 from hitchopt.checks.registry import RULES, names_of
 from hitchopt.checks.violations import infeasible_error, named_checks
@@ -22,8 +22,8 @@ from hitchopt.motion.motion import Motion
 from hitchopt.steps.step import Step
 from hitchopt.values.fields import with_fields
 
-WIDENED = names_of(rule for rule in RULES if rule.pairs)
-"""Checks of distances that ``limits.tracking`` increases."""
+WIDENED = names_of(rule for rule in RULES if rule.pairs and rule is not FLOOR)
+"""Checks of distances that ``limits.tracking`` increases: not of the floor, where drones stand."""
 
 
 def with_tracking_advice(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -29,7 +29,6 @@ from hitchopt.mission.starts import DronesStart, HitchStart, resolved_start, wor
 from hitchopt.mission.step_order import resolved_steps
 from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import check_placed
 from hitchopt.steps import ALL_STEP_KINDS, STEP_KINDS
 from hitchopt.steps.keys import SWARM_PLACES, TRIANGLE, shown_legs
 from hitchopt.steps.step import Step
@@ -87,7 +86,7 @@ class TeamMission:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", resolved_start(self.name, self.team, self.start))
-        check_placed(self.requirements.objects, self.requirements.floor)
+        self.requirements.check_placed()
         if not self.steps and self.name:
             value = f"no step of {self.name}"
             remedy = f"add {self.name}: {{{words_of(self.team).step_example}}}"
@@ -152,7 +151,7 @@ SWARM_TEAM = mapping_of(SwarmTeam, SwarmTeam.team)
 HITCH_LIMITS = tuple(
     key.removeprefix("limits.")
     for key, rule in RULE_OF_KEY.items()
-    if any({"vertices", "cables"} & {*bodies} for bodies in rule.bodies)
+    if rule.bodies and all({"vertices", "cables"} & {*bodies} for bodies in rule.bodies)
 )
 """Keys of limits that do not apply to single drones."""
 
@@ -359,7 +358,7 @@ class Problem(ByValue):
                 raise InputError(f"mission[{i}]", {}, "steps of at least one team", remedy)
         owners = self._owners()
         missions = collect(lambda name: self._named_mission(name, owners), names)
-        check_placed(self.objects, missions[0].requirements.floor)
+        replace(missions[0].requirements, objects=self.objects).check_placed()
         return dict(zip(names, missions, strict=True))
 
     def _steps(self, name: str) -> list[PlacedStep]:

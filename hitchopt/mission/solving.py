@@ -21,13 +21,12 @@ from hitchopt.errors import (
     planners_faults,
 )
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.advice import placed_in_step, refusal, with_tilt_advice, with_tracking_advice
 from hitchopt.mission.cache import Cache, digest
 from hitchopt.mission.problem import Problem, TeamMission
-from hitchopt.mission.starts import DronesStart, HitchStart
+from hitchopt.mission.starts import HitchStart
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.candidates import Effort, explained_once
@@ -191,22 +190,7 @@ def _plan_steps(
         if start is not None:
             check_at_rest(start, with_reserve, AT_START)
         raise refusal(motion, certificate, steps)
-    if isinstance(mission.start, DronesStart):
-        check_above_ground(motion)
     return CertifiedMotion(motion, certificate, tuple(plan.path for plan in plans))
-
-
-def check_above_ground(motion: Motion) -> None:
-    """Raise InfeasibleError if drones of a plan without an arena go below the ground, z = 0."""
-    heights = motion.drones.coefficients[:, :, 2]
-    if motion.requirements.arena is not None or np.min(heights) >= -ALTITUDE_TOLERANCE:
-        return
-    piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
-    lowest = float(np.min(heights))
-    where = (motion.team.drone_names[drone],)
-    when = f"above the ground at about t = {motion.drones.breaks[piece]:.4g} s"
-    remedy = "keep altitudes above 0, or add an arena with a lower floor"
-    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", where, when, remedy)])
 
 
 def _start_state(mission: TeamMission, requirements: Requirements, report: Progress) -> RestState:

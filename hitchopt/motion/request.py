@@ -59,7 +59,7 @@ def encoded(value: Any) -> Any:
         if isinstance(value, Team):
             del values["assignment"]  # records of plans have it beside the team
         keys = keys_of(type(value))
-        absent = [name for name, key in keys.items() if key.omitted and values[name] is None]
+        absent = [name for name, key in keys.items() if key.omitted and values[name] == key.default]
         value = {name: item for name, item in values.items() if name not in absent}
     elif isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()

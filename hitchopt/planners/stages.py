@@ -14,7 +14,7 @@ from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary, bounded_radius
-from hitchopt.hitch.requirements import Limits, Requirements
+from hitchopt.hitch.requirements import HANGING, Limits, Requirements
 from hitchopt.motion.cable_state import CableState
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.morph.morph import POSITION_TOLERANCE
@@ -313,4 +313,4 @@ def missing_height(team: Team, drones: Array, requirements: Requirements) -> flo
     lowest_cable = float(np.min(lowest - sinking)) - ground_clearance(requirements)
     lowest_with_largest = float(np.min(lowest) - np.max(sinking)) - JOINT_RESERVE
     lowest_counted = lowest_with_largest - requirements.ground_clearance
-    return requirements.floor - min(lowest_cable, lowest_counted)
+    return requirements.ground_for(HANGING) - min(lowest_cable, lowest_counted)

@@ -72,7 +72,7 @@ def _limit_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[
     for name, limit in keys_of(Limits).items():
         key = f"limits.{limit.name}"
         value, rule = getattr(problem.limits, name), RULE_OF_KEY.get(key)
-        if value is None or rule is None:
+        if value is None or rule is None or name == "floor":  # the ground is where it is
             continue
         old, check = limit.to_file(value), PLAN_DURATION if name == "duration" else rule.name
         covers = frozenset({check}) | (DURATION_CHECKS if rule.derivative else frozenset())

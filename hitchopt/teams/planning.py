@@ -170,7 +170,7 @@ class _Item:
             others = [_heights(each) for each in self.tracks if each is not track]
             bottom, top = min(low for low, _ in others), max(high for _, high in others)
             height = top + gap - lowest if is_higher else bottom - gap - highest
-        floor, arena = motion.requirements.floor, motion.requirements.arena
+        floor, arena = motion.requirements.ground_or(-math.inf), motion.requirements.arena
         ceiling = math.inf if arena is None else float(arena.upper[2])
         if lowest + height < floor or highest + height > ceiling:
             return None

@@ -66,6 +66,7 @@ P = ParamSpec("P")
 Schema = dict[str, Any]
 
 EMPTY = inspect.Parameter.empty  # Default of a field without one
+NULL = "null"  # Form of None, of a kind that has it besides a default value
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,7 @@ class Key:
     example: Any = None  # example of a value in files
     name: str = ""  # key in files, if it differs from the field's name
     default: Any = EMPTY  # default value; set by ``keys_of``, EMPTY without one
-    omitted: bool = False  # plan files omit it where it is None: earlier ones do not have it
+    omitted: bool = False  # plan files omit its default: earlier ones do not have the key
 
     @property
     def file_kind(self) -> Kind:
@@ -109,7 +110,7 @@ class Key:
 
     def check_given(self, kind: Kind, key: str, value: Any) -> None:
         """Raise InputError for None in place of a value of a kind that can be omitted."""
-        if value is None and self.default is not EMPTY:
+        if value is None and self.default is not EMPTY and NULL not in kind.forms:
             raise InputError(key, None, kind.bound, "set a value, or omit it")
 
     def from_file(self, key: str, value: Any) -> Any:
@@ -587,6 +588,16 @@ def either(*kinds: Kind) -> Kind:
         degrees = either(*(kind.degrees or kind for kind in kinds))
     unit = next((kind.unit for kind in kinds if kind.unit), "")
     return Kind(tuple(forms), check, {"oneOf": list(kinds)}, unit, degrees, accepted)
+
+
+def nullable(kind: Kind) -> Kind:
+    """Return the kind of a value or null, for keys whose default is neither null nor absent."""
+
+    def check(key: str, value: Any) -> Any:
+        return None if value is None else kind.check(key, value)
+
+    schema = {"anyOf": [kind, {"type": NULL}]}
+    return Kind((*kind.forms, NULL), check, schema, kind.unit, accepted=kind.accepted)
 
 
 def one_or_each(kind: Kind, min_length: int, max_length: int) -> Kind:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from .arithmetic import BIG, DEGREES, UP, G, Index, Line, Mask, angle, maximum, minimum, norm
-from .drones import wall_gap
+from .drones import FLOOR_ROW, wall_gap
 from .parts import depth_below
 from .plan import HITCHED, REST_TOL, WRAP_TOL, Plan
 from .shapes import distance
 from .spans import MIN_TENSION, Row, Spans, nothing_row, prove
 
+TANGENTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # places of tangents of sagging segments
 OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run straight
 
 
@@ -31,8 +33,11 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
     pairs = Spans.of(p, p.formed, np.argwhere(np.triu(~shared, 1)), names, names)
     for j in np.split(np.arange(len(p.segments)), [int(np.sum(p.leg))]):
-        inside = partial(arena_gap, leg=not j[0])
-        yield prove(p.arena_row, 0.0, Spans.of(p, p.formed, j, names), inside)
+        s = Spans.of(p, p.formed, j, names)
+        if p.arena is not None:
+            yield prove("arena m min", 0.0, s, partial(arena_gap, leg=not j[0]))
+        if limits["floor"] is not None:
+            yield prove(FLOOR_ROW, limits["floor"], s, partial(lowest_part, leg=not j[0]))
     s = Spans.of(p, p.formed, foreign, p.names, names)
     near = partial(distance, ratio=p.ratio)
     yield prove(*p.cable_limit, s, lambda s, i, j: near([s.point(i)], s.segment(j)))
@@ -59,17 +64,36 @@ def taut_cables(p: Plan) -> Iterator[Row]:
         yield prove("bend 1 max", 2 * WRAP_TOL, straight, bend)
 
 
-def arena_gap(s: Spans, j: Index, *, leg: bool) -> Line:
-    """Return distances of segments to walls, of cables that sag below them to the floor."""
+def largest_sag(s: Spans, j: Index, *, leg: bool) -> Line | float:
+    """Return how far segments sag below their chords at most."""
     p = s.plan
     a, b = s.segment(j)
     k = p.segments[j, 2]
     chord = b - a
     T = p.pulls.on(s, p.segments[j, 1]) if leg else p.tensions.on(s, k)
     ratio = s.weight_ratio(T, k)
-    depth = 0.0 if ratio is None else depth_below(chord, ratio)
-    inner = wall_gap(s, [a + chord * x for x in (0.25, 0.5, 0.75)], depth)
+    return 0.0 if ratio is None else depth_below(chord, ratio)
+
+
+def arena_gap(s: Spans, j: Index, *, leg: bool) -> Line:
+    """Return distances of segments to walls."""
+    a, b = s.segment(j)
+    chord = b - a
+    sag = largest_sag(s, j, leg=leg)
+    inner = wall_gap(s, [a + chord * x for x in (0.25, 0.5, 0.75)], sag)
     return minimum(wall_gap(s, [a, b]), inner)
+
+
+def lowest_part(s: Spans, j: Index, *, leg: bool) -> Line:
+    """Return heights below which no point of segments is.
+
+    The parabola ``z + h u - 4 S u (1 - u)`` of a segment with a sag S that rises by h is above its
+    tangents. Those at u and v meet halfway, ``4 S (½ (u + v) - u v)`` below the chord.
+    """
+    a, b = (x[2] for x in s.segment(j))
+    sag = largest_sag(s, j, leg=leg)
+    meeting = [(0.5 * (u + v), 4.0 * (0.5 * (u + v) - u * v)) for u, v in pairwise(TANGENTS)]
+    return minimum(a, b, *(a + (b - a) * x - sag * depth for x, depth in meeting))
 
 
 def turn_margin(s: Spans, _: Index) -> Line:

@@ -29,12 +29,11 @@ GROSS = 10.0  # ratio to a limit from which on curves are no plan at all
 JUMP = 0.01  # [m] largest jump of curves that are a plan
 ROUNDING_ERROR = 1e-9  # largest value that is written as 0
 STATED = "not recomputed"  # rules of the user, whose formulas are not in the file
-NO_LIMIT = "no limit"  # height above z = 0, which is only the ground if there is an arena
-PASSING = {"proven", SAMPLED, NO_LIMIT, NOTHING, STATED}  # verdicts that do not fail
+PASSING = {"proven", SAMPLED, NOTHING, STATED}  # verdicts that do not fail
 ORDER = "violated", "not proven", SAMPLED, "proven", NOTHING  # of verdicts, the worst first
 # Rows that tracking errors of drones change
 DISTANCES = "separation", "cable_clearance", "crossing", "object_clearance", "keep_out", "downwash"
-ERRING = frozenset({*DISTANCES, "arena", "ground", "legs", "span"})
+ERRING = frozenset({*DISTANCES, "arena", "legs", "span"})
 
 
 def hopeless(p: Plan) -> Iterator[Row]:
@@ -138,9 +137,7 @@ def proofs(
     errors = {row.name: row for row in worst_rows(of_errors)}
     for row in worst_rows(rows):
         erring = errors.get(row.name)
-        worst = row if erring is None else with_errors(row, erring)
-        passes = worst.name != "ground" or worst.verdict == "proven"
-        yield worst if passes else worst._replace(verdict=NO_LIMIT)
+        yield row if erring is None else with_errors(row, erring)
 
 
 def between_teams(
@@ -201,8 +198,6 @@ def verdict(rows: Sequence[Row]) -> str:
     bad = dict.fromkeys(row.name for row in rows if row.verdict not in PASSING)
     stated = ", ".join(row.name for row in rows if row.verdict == STATED)
     rest = f"; not recomputed: {stated}" if stated else ""
-    if any(row.verdict == NO_LIMIT for row in rows):
-        rest += "; not proven: heights above z = 0, which are limited only by an arena"
     if sampled := ", ".join(row.name for row in rows if row.verdict == SAMPLED):
         rest += f"; only at samples: {sampled}"
     if nothing := ", ".join(row.name for row in rows if row.verdict == NOTHING):

@@ -7,11 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from .arithmetic import BIG, DEGREES, TOLERANCE, UP, G, Index, Line, angle, minimum, norm
+from .arithmetic import DEGREES, TOLERANCE, UP, G, Index, Line, angle, minimum, norm
 from .catenary import catenary_force
 from .plan import Body, Plan
 from .shapes import Slab
 from .spans import Row, Spans, prove
+
+FLOOR_ROW = "floor m min"  # header of the row of heights
 
 
 def drones(p: Plan) -> Iterator[Row]:
@@ -44,7 +46,10 @@ def drones(p: Plan) -> Iterator[Row]:
     yield prove("tilt deg max", tilt, s, lambda s, i: angle(thrust(s, i), s.zero + UP) * DEGREES)
     if lim["body_rate"] is not None:
         yield prove("body_rate deg/s max", lim["body_rate"] * DEGREES, s, turning)
-    yield prove(p.arena_row, 0.0, s, lambda s, i: wall_gap(s, [s.point(i)]))
+    if p.arena is not None:
+        yield prove("arena m min", 0.0, s, lambda s, i: wall_gap(s, [s.point(i)]))
+    if lim["floor"] is not None:
+        yield prove(FLOOR_ROW, lim["floor"], s, lambda s, i: s.point(i)[2])
     for b, slab in [*p.slabs, *p.walls]:
         gap = partial(to_slab, b=b, slab=slab)
         can_be_held = p.n > 0 and b >= 0 and not p.bodies[b].fixed
@@ -80,8 +85,9 @@ def moves(p: Plan, body: Body) -> bool:
 
 
 def wall_gap(s: Spans, x: Sequence[Line], depth: Line | float = 0.0, radius: float = 0.0) -> Line:
-    """Return the distance to walls or ground from points with a horizontal radius and a depth."""
-    arena = s.plan.arena or {"lower": [-BIG, -BIG, 0.0], "upper": [BIG] * 3}
+    """Return the distance to walls from points with a horizontal radius and a depth."""
+    arena = s.plan.arena
+    assert arena is not None
     lower, upper = np.array(arena["lower"]), np.array(arena["upper"])
     error = s.plan.tracking  # except for the floor, on which drones stand
     gaps = [(each - lower)[k] - radius - error for each in x for k in range(2)]

@@ -25,7 +25,7 @@ from .arithmetic import (
 )
 from .cables import capstan, wrap_angle
 from .catenary import lowest_height, shift
-from .drones import wall_gap
+from .drones import FLOOR_ROW, wall_gap
 from .plan import CONTACT_TOL, EXACT_RANGE, GROUNDED, WRAP_TOL, Plan
 from .shapes import Slab, to_frame
 from .spans import MIN_TENSION, Row, Spans, prove
@@ -79,8 +79,12 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
             if o != b:
                 gap = partial(other_gap, o=o, slab=slab, block=block)
                 yield prove(*p.object_limit, moving, gap)
-        if not body.fixed:  # columns may touch walls and ceiling
-            yield prove(p.arena_row, 0.0, carried, partial(arena_gap, slab=slab))
+        if not body.fixed and p.arena is not None:  # columns may touch walls and ceiling
+            yield prove("arena m min", 0.0, carried, partial(arena_gap, slab=slab))
+
+    if not body.fixed and p.limits["floor"] is not None:
+        everywhere = Spans.of(p, p.all_pieces, [0], [body.name])
+        yield prove(FLOOR_ROW, p.limits["floor"], everywhere, lambda s, _: lowest_point(s, b))
 
     def inner_gap(s: Spans, _: Index, slab: Slab, o: int, block: Slab) -> Line:
         """Return the distance to a slightly smaller body, since surfaces may touch."""
@@ -94,6 +98,14 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         if o != b and block.upper > block.lower and not (body.fixed and p.bodies[o].fixed):
             gap = partial(inner_gap, slab=slab, o=o, block=block)
             yield prove(header, 0.5 * POS_TOL, first, gap)
+
+
+def lowest_point(s: Spans, b: int) -> Line:
+    """Return heights of the lowest points of body b; where it stands, that of the floor."""
+    floor = s.plan.limits["floor"]
+    height = s.plan.poses.on(s, b)[2] + min(slab.lower for slab in s.plan.bodies[b].slabs)
+    stands = np.abs(height.v[:, 0] - floor) + height.deviation <= POS_TOL
+    return height.where(~stands) + np.where(stands, floor, 0.0)[:, None]
 
 
 def clear_held(p: Plan, b: int) -> Iterator[Row]:

@@ -110,8 +110,7 @@ class Plan:
     settings: dict[str, Any]  # of the team, with requirements and phases
     limits: dict[str, Any]
     arena: dict[str, Any] | None
-    arena_row: str  # header of the row of walls
-    floor: float  # [m] height of the ground
+    floor: float  # [m] height of the ground; -BIG without one
 
     # Numbers of bodies
     n: int  # robots; 0 for single drones
@@ -314,9 +313,10 @@ class Plan:
         self.set_distances(settings["separation"], self.tube)
         if self.limits["reserve"] > 1.0 or self.limits["tilt"] >= 0.5 * math.pi:
             raise ValueError("limits.reserve is above 1, or limits.tilt is not below 90 degrees")
-        self.floor, self.arena_row = 0.0, "ground m min"
+        self.limits.setdefault("floor", 0.0)  # which files omit
+        self.floor = -BIG if self.limits["floor"] is None else float(self.limits["floor"])
         if self.arena is not None:
-            self.floor, self.arena_row = float(self.arena["lower"][2]), "arena m min"
+            self.floor = max(self.floor, float(self.arena["lower"][2]))
             if np.any(np.array(self.arena["lower"]) >= self.arena["upper"]):
                 raise ValueError("arena has a lower bound that is not below its upper bound")
 

@@ -27,6 +27,9 @@ Section = tuple[str, Any, Any]  # path of its keys, its requested values, and th
 NAMES = {"circle": "radius", "to": "upper", "from": "lower", "outline": ""}
 """Names in plan files of keys of objects; outlines are stored in another form."""
 
+DEFAULTS = {"floor": 0.0}
+"""Limits of problems that do not state them; lower ones would hide what others limit."""
+
 LEFT_OUT = {key[:-1] for key in re.findall(r"\w+\*", " ".join(TYPES.values()))}
 """Keys that plans omit if the problem states none."""
 
@@ -69,8 +72,9 @@ def sections(p: Plan) -> Iterator[Section]:
     request, own = p.request, p.settings
     team = request["team"] or {}
     yield "team", {key: team[key] for key in team if key != "quadrotor"}, own["team"]
-    for name in ("limits", "separation", "arena"):
+    for name in ("separation", "arena"):
         yield name, request.get(name), own[name]
+    yield "limits", {**DEFAULTS, **(request.get("limits") or {})}, p.limits
     kinds = own["team"]["quadrotor"]
     models = team.get("quadrotor")
     of_robots = models if isinstance(models, list) else [models] * len(kinds)

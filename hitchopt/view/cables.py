@@ -54,7 +54,7 @@ def cable_curves(
     if not motion.team.has_cables:
         return np.zeros((len(states.t), 0, POINTS, 3)), radius
     points, radius = _above_and_below_ground(motion, states, radius)
-    floor = motion.requirements.floor + radius
+    floor = motion.requirements.ground_or(-np.inf) + radius
     points[..., 2] = np.maximum(points[..., 2], np.minimum(floor, np.min(drones[..., 2])))
     return points, radius
 

@@ -169,7 +169,6 @@ class LiveScene:
 
     def _add_surroundings(self) -> None:
         """Add ground, arena and keep-outs."""
-        requirements = self.scene.flight.requirements
         drones = self.scene.drones
         lower, upper = np.min(drones, axis=(0, 1)), np.max(drones, axis=(0, 1))
         size = 2.0 * float(np.max(upper - lower)) + 2.0
@@ -177,7 +176,7 @@ class LiveScene:
         cell = 10.0 ** np.round(np.log10(size / 10.0))
         self._api.add_grid(
             f"{self._name}ground", size, size, plane="xy", cell_size=cell, section_size=5.0 * cell,
-            position=(middle[0], middle[1], requirements.floor), cell_color=(205, 209, 213),
+            position=(middle[0], middle[1], self.scene.ground), cell_color=(205, 209, 213),
             section_color=(175, 180, 186),
         )  # fmt: skip
         if len(self.scene.appearance.arena):

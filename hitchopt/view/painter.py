@@ -98,7 +98,7 @@ class Painter:
         look = scene.appearance
         self.camera = camera
         self.step = step
-        self._floor = requirements.floor
+        self._floor = scene.ground
         self._width = width or scene.radius
         self.cables = to_rgba_array(look.cable_colours)
         parts = look.drone_parts(size, max(MIN_ROTOR_CORNERS, SEGMENTS // step))
@@ -327,8 +327,7 @@ def _panel_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
         projected = camera.project(points)[:, :2]
         return np.array([np.min(projected, axis=0), np.max(projected, axis=0)])
 
-    floor = scene.flight.requirements.floor
-    low = moment.drones * [1.0, 1.0, 0.5] + [0.0, 0.0, 0.5 * floor]
+    low = moment.drones * [1.0, 1.0, 0.5] + [0.0, 0.0, 0.5 * scene.ground]
     boxes = [box(np.concatenate([moment.drones, low]))]
     margin = 0.5 * np.ptp(boxes[0], axis=0)
     for solid, pose in zip(scene.appearance.objects, moment.objects, strict=True):
@@ -349,7 +348,7 @@ def draw_ground(axes: Axes, scene: Scene, camera: Camera) -> None:
     """Draw a grid on the ground that extends beyond all paths, against which motion is seen."""
     lower, upper = np.min(scene.drones, axis=(0, 1))[:2], np.max(scene.drones, axis=(0, 1))[:2]
     reach = float(np.max(np.ptp(scene.drones, axis=(0, 1))))
-    floor = scene.flight.requirements.floor
+    floor = scene.ground
     least = max(reach, GRID_REACH) / GRID_CELLS
     power = 10.0 ** math.floor(math.log10(least))
     step = power * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least)

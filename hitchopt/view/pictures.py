@@ -590,7 +590,7 @@ def _is_near(arena: Arena, points: Array) -> bool:
 
 def draw_side_view(axes: Axes, flight: Flight) -> None:
     """Draw a plan from the side, along y: start, paths, end and the ground."""
-    separation, floor = flight.requirements.separation, flight.requirements.floor
+    separation = flight.requirements.separation
     _draw_flight(axes, flight, FROM_THE_SIDE)
     for prism in flight.requirements.keep_out:
         x = prism.polygon.vertices[:, 0]
@@ -598,6 +598,7 @@ def draw_side_view(axes: Axes, flight: Flight) -> None:
         size = (np.ptp(x), prism.upper - prism.lower)
         axes.add_artist(Rectangle(corner, *size, **KEEP_OUT))
     flown = _flown(flight)[..., [0, 2]].reshape(-1, 2)
+    floor = flight.requirements.ground_or(float(np.min(flown[:, 1])))
     axes.axhline(floor, color="0.4", linewidth=0.8)
     _show_extent(axes, flown, separation.radius)
     axes.set_ylim(floor - GROUND, axes.dataLim.y1 + separation.height)

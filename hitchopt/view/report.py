@@ -195,7 +195,7 @@ def _scene_data(scene: Scene) -> dict[str, Any]:
         "objects": list(map(_solid, look.objects)),
         "keep_outs": list(map(_solid, look.keep_outs)),
         "arena": look.arena.ravel().tolist(),
-        "floor": flight.requirements.floor,
+        "floor": scene.ground,
         "ellipsoid": list(look.ellipsoid),
     }
 

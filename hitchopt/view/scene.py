@@ -68,6 +68,11 @@ class Scene(Moment):
         """Names, colours and shapes."""
         return Appearance.of(self.flight)
 
+    @property
+    def ground(self) -> float:
+        """Height of the ground [m]; without one, that of the lowest drone."""
+        return self.flight.requirements.ground_or(float(np.min(self.drones[..., 2])))
+
     def at(self, time: float) -> Moment:
         """Return the scene at a time [s], interpolated between its samples."""
         i = int(np.clip(np.searchsorted(self.t, time, side="right"), 1, len(self.t) - 1))

@@ -26,7 +26,7 @@ from hitchopt.mission.advice import WIDENED
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, known
 from hitchopt.values.fields import keys_of
 from tests.helpers.motions import (
     ARENA,
@@ -63,6 +63,7 @@ TABLE: dict[str, tuple[str, float | None]] = {
     "equilibrium": ("max", 5e-3),
     "convexity": ("min", 0.0),
     "arena": ("min", 0.0),
+    "floor": ("min", 0.0),
     "keep_out": ("min", 0.12),
     "tension": ("max", 1e-4),
     "continuity": ("max", 1e-6),
@@ -95,7 +96,7 @@ def test_checks_follow_the_table_and_report_progress() -> None:
 
 
 def test_lists_of_limits_follow_from_the_bodies_that_they_state() -> None:
-    assert {rule.name for rule in RULES if rule.pairs} == WIDENED
+    assert {rule.name for rule in RULES if rule.pairs} == WIDENED | {"floor"}
     keys = {f"limits.{key.name}" for key in keys_of(Limits).values()}
     assert {rule.key for rule in RULES if rule.key.startswith("limits.")} <= keys
     for rule in RULES:  # only drones err: what stands does not
@@ -109,7 +110,12 @@ def transformed(matrix: Array, shift: ArrayLike = 0.0) -> Callable[[Motion], Mot
         moved: Array = np.einsum("ij,...jk->...ik", matrix, c) + np.broadcast_to(shift, 3)[:, None]
         return moved
 
-    return lambda m: altered(altered(m, "drones", mapped), "vertices", mapped)
+    def changed(motion: Motion) -> Motion:
+        floor = known(motion.requirements.limits.floor) + float(np.broadcast_to(shift, 3)[2])
+        moved = altered(altered(motion, "drones", mapped), "vertices", mapped)
+        return replaced(moved, floor=floor)
+
+    return changed
 
 
 def renumbered(motion: Motion) -> Motion:
@@ -186,7 +192,9 @@ def test_certificates_are_invariant_to_place_time_and_numbering(name: str, kind:
         if not a.is_evaluated:  # a single piece has no joints
             continue
         least = 1e-2 if a.name in loose else 1e-6
-        assert a.worst == pytest.approx(factor * b.worst, rel=3e-4, abs=least), a.name
+        heights = [check.number if check.name == "floor" else 0.0 for check in (a, b)]
+        found, moved = (check.worst - z for check, z in zip((a, b), heights, strict=True))
+        assert found == pytest.approx(factor * moved, rel=3e-4, abs=least), a.name
         if a.name in {"separation", "cable_clearance", "speed", "jerk", "legs"} - loose:
             back = {f"{w[:-1]}{(int(w[-1]) + symmetry.number) % n}" for w in b.where}
             assert back == set(a.where), a.name

@@ -13,7 +13,6 @@ import pytest
 from scipy.optimize import brentq
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.certifying import below_ground
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.separation import leg_remedy
 from hitchopt.errors import EXCHANGED
@@ -22,7 +21,6 @@ from hitchopt.geometry.vectors import shortest_offset
 from hitchopt.hitch import Hitch, Quadrotor, Team
 from hitchopt.hitch.requirements import Arena, Prism, Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
@@ -370,25 +368,6 @@ def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> 
         assert room([-9, -9, -9], [9, np.max(drones[:, 1]) + 0.07, 9]).worst == pytest.approx(0.07)
         for lift in (-0.3, 0.3):  # vertices alone
             assert not room([-9, -9, z - 0.25], [9, 9, z + 0.25], lift).holds
-
-
-def test_heights_below_ground_are_reported_without_an_arena() -> None:
-    motion = still(Team(3, 3.0), np.array(WIDE), [0.4] * 3)
-    assert below_ground(Flight.of(motion)) is None
-    down = motion.drones.coefficients[0, 0, 2, 0] + 0.3
-    parts = {
-        name: getattr(motion, name).replaced(
-            getattr(motion, name).coefficients - [[0.0], [0.0], [down]]
-        )
-        for name in ("drones", "vertices")
-    }
-    result = below_ground(Flight.of(motion.replaced(**parts)))
-    assert result is not None
-    assert result.worst == pytest.approx(-0.3)
-    arena = Arena([-9, -9, -1], [9, 9, 9])
-    walled = replace(motion.requirements, arena=arena)
-    within = Flight.of(motion.replaced(requirements=walled, **parts))
-    assert below_ground(within) is None
 
 
 @pytest.mark.parametrize(

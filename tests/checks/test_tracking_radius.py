@@ -164,7 +164,7 @@ def test_tubes_of_equal_axes_are_numbers_and_higher_ones_never_help(name: str) -
 
 
 def test_upright_errors_do_not_bring_level_neighbours_nearer() -> None:
-    places = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    places = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0]])  # high above the floor
     beside, above = lines(places, places), lines(places[:, ::-1], places[:, ::-1])
     for tube, moved in ((ho.Tube(0.08, 0.2), 1.0), (ho.Tube(0.08, 0.4), 1.0)):
         radius = radius_of(with_tracking(beside, tube)).worst

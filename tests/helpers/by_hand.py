@@ -116,11 +116,14 @@ def sampled(motion: Motion, times: Array, only: Set[str] = frozenset()) -> dict[
         result["separation"] = float(np.min(ratios(x, spec.separation)))
     for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
         result[name] = float(np.max(np.linalg.norm(motion.drones.at(times, order), axis=-1)))
-    if spec.arena is not None and named("arena"):
+    if named("arena", "floor"):
         tied = motion.team.has_cables and bool(motion.formed.all())
         there = np.concatenate([x, sagging(Samples(motion, times))], axis=1) if tied else x
-        inside = np.minimum(there - spec.arena.lower, spec.arena.upper - there)
-        result["arena"] = float(np.min(inside))
+        if spec.limits.floor is not None:
+            result["floor"] = float(np.min(there[..., 2]))
+        if spec.arena is not None:
+            inside = np.minimum(there - spec.arena.lower, spec.arena.upper - there)
+            result["arena"] = float(np.min(inside))
     if spec.keep_out:
         result["keep_out"] = min(float(np.min(off_prism(x, prism))) for prism in spec.keep_out)
     if named("thrust", "tilt"):
@@ -211,8 +214,10 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
     else:
         points = cable_points(s.team.cable_length, few)
         apart = np.min(np.linalg.norm(few[:, :, None, None] - points[:, None], axis=-1), axis=-1)
-        arena = s.motion.requirements.arena
-        lowest = float(np.min(points[..., 2])) - (0.0 if arena is None else arena.lower[2])
+        spec = s.motion.requirements
+        faces = [each.lower[2] for each in (spec.arena,) if each is not None]
+        faces += [each for each in (spec.limits.floor,) if each is not None]
+        lowest = float(np.min(points[..., 2])) - max(faces, default=-math.inf)
     each = np.arange(s.team.drones)
     apart[:, each, each // 2] = math.inf
     if not state.on_ground:
@@ -438,9 +443,10 @@ def tracking_radius(motion: Motion, times: Array) -> float:
     separation = spec.separation
     limits = {"cable_clearance": separation.cable, "crossing": separation.crossing}
     limits |= {"legs": spec.limits.leg, "arena": 0.0, "keep_out": separation.radius}
+    limits |= {"floor": spec.limits.floor} if spec.limits.floor is not None else {}
     terms = [touching(motion.drones.at(times), separation)]
     for name, limit in limits.items():
-        bodies = 1.0 if name in {"arena", "keep_out"} else 2.0
+        bodies = 1.0 if name in {"arena", "floor", "keep_out"} else 2.0
         terms.append(max(result.get(name, math.inf) - limit, 0.0) / bodies)
     if "span" in result:
         x, length = motion.drones.at(times), motion.team.cable_length

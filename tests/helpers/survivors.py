@@ -63,7 +63,7 @@ def at_bound(bound: str, margin: float) -> Motion:
         nearest = np.min(np.linalg.norm(offsets, axis=-1))
         depth = 0.5 * np.sqrt(2.4**2 - nearest**2)
         lowest = min(np.min(drones[:, 2]), np.min(motion.vertices.at(0.0)[:, 2])) - depth
-        height = need.floor + need.with_reserve.ground_clearance
+        height = need.with_reserve.ground_clearance
         return held(altitude=1.6 + height - lowest + margin)
     return motion.replaced(
         requirements=replace(need, limits=limits, arena=Arena([-20.0, -20.0, 0.0], upper))

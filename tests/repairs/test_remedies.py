@@ -103,6 +103,11 @@ def fly(sign: float) -> Editor:
     return lambda advice: move(advice, [0.0, 0.0, sign * advice.size])
 
 
+def lower_floor(advice: Advice) -> None:
+    limits = advice.data.setdefault("limits", {})
+    limits["floor"] = limits.get("floor", 0.0) - advice.size
+
+
 def wall_of(advice: Advice) -> tuple[str, int, float]:
     """Return the side and axis of the wall that the remedy names, and the sense away from it."""
     wall = re.search(r"arena\.(\w+)\[(\d)\]", advice.violation.remedy)
@@ -213,6 +218,7 @@ PHRASES: dict[str, Editor | tuple[Editor, ...]] = {
     "raise the limits of motion": scale(1.0, *MOTION),
     r"raise (limits\.\w+)": scale(1.0),
     r"(?:allow )?a smaller (separation\.\w+|limits\.leg)": scale(-1.0),
+    r"lower limits\.floor": lower_floor,
     r"lower ((?:separation|limits|team)\.\w+)": scale(-1.0),
     "change the leg lengths: use cables of another length, or another polygon": LENGTHS_OF_LEGS,
     "(?:use )?(?:a )?longer cables?|lengthen the cable": scale(1.0, "team.cable_length"),

@@ -392,6 +392,11 @@ LIES = [
     Lie("grip", "edges are said to be straight", straight, "cable_length|penetration|equilibrium"),
     # Single drones.
     Lie("swarm", "two drones are exchanged", swapped("drones", 0, 1), REFUSED),
+    Lie("morph", "the hitch flies 2 m lower", both(plus("drones", -2.0, (slice(None), slice(None), 2)), plus("vertices", -2.0, (slice(None), slice(None), 2))), "floor"),
+    Lie("swarm", "drones fly 2 m lower", plus("drones", -2.0, (slice(None), slice(None), 2)), "floor"),
+    Lie("swarm", "the floor is lower", put("limits", "floor", -2.0), REFUSED),
+    Lie("swarm", "there is no floor", put("limits", "floor", None), REFUSED),
+    Lie("swarm", "the floor is above the drones", put("limits", "floor", 9.0), REFUSED),
     Lie("swarm", "two drones fly the same way", lambda s, a: a.update(drones=a["drones"][:, [0, 0, 2, 3, 4, 5]]), "separation"),
     Lie("swarm", "a drone is tied", everywhere("state", "hitched"), REFUSED),
     Lie("chain", "the chain is closed", put("team", "topology", "closed"), REFUSED),

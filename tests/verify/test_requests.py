@@ -62,7 +62,7 @@ mission:
 """
 MOVED = """
 team: {robots: 3, cable_length: [2.4, 2.3, 2.4], tension: 0.5}
-limits: {speed: 0.9, tilt_deg: 40, tracking: {level: 0.01, height: 0.01}}
+limits: {speed: 0.9, floor: 0.2, tilt_deg: 40, tracking: {level: 0.01, height: 0.01}}
 separation: {cable: 0.09}
 arena: {lower: [-4, -4, 0], upper: [4, 4, 3]}
 start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0, legs: [0.3, 0.3, 0.3]}}
@@ -197,6 +197,7 @@ LIES = [
     lie("measured", "team quadrotor trim 0", 0.02),
     lie("measured", "team quadrotor tracking", 0.003),
     lie("moved", "limits speed", 0.8),
+    lie("moved", "limits floor", 0.1),
     lie("moved", "limits tilt_deg", 39),
     lie("moved", "limits tracking", 0.02),
     lie("moved", "limits tracking height", 0.02),

@@ -39,7 +39,7 @@ SLOW = (
     "form_twelve_gon",
 )
 OWN = {
-    *("request", "consistency", "cable_loops", "contact", "penetration", "rim", "ground"),
+    *("request", "consistency", "cable_loops", "contact", "penetration", "rim"),
     *("outline_turn", "bend", "wrap"),
 }
 """Limits that the certificate counts to others, or to infinity where they are broken."""
@@ -119,19 +119,6 @@ def test_pulls_beyond_friction_exceed_by_as_much_in_both(factor: float, tmp_path
     of_forces, of_legs = rows
     assert {of_forces.verdict, of_legs.verdict} == {"violated"}
     assert of_legs.worst == pytest.approx(friction_excess(slid).worst, rel=0.01)
-
-
-def test_heights_above_the_ground_are_no_limit_without_an_arena(tmp_path: Path) -> None:
-    team = ho.Team(robots=3, cable_length=2.4)
-    start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=0.1)
-    for altitude, words in (
-        (0.2, PROVEN),
-        (-0.2, f"{PROVEN}; not proven: heights above z = 0, which are limited only by an arena"),
-    ):
-        ho.solve(start, ho.Transport(to=[0, 0, altitude])).save(tmp_path, rate=10.0)
-        rows = [*second.verify(tmp_path)]
-        assert second.verdict(rows) == words
-        assert {row.verdict for row in rows} <= second.PASSING
 
 
 @pytest.mark.slow

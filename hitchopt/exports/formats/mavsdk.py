@@ -137,13 +137,18 @@ class MavsdkDroneShow(Format):
         if len(tables) <= rise_rows + 1:
             raise FileError(f"{folder}: its drones do not have as many rows as the plan")
         # Altitudes are relative to the first row, which is on the ground.
-        ground = task.frame.points(np.array([0.0, 0.0, task.flight.requirements.floor]))[2]
+        ground = task.frame.points(np.array([0.0, 0.0, ground_of(task)]))[2]
         tables[..., 3] += ground - tables[0, :, 3]
         t = tables[rise_rows:, 0, 0] - rise.duration
         values = tables[rise_rows:, :, 1:]  # positions, velocities, accelerations
         values[..., 6:] += task.samples(t)["cable_forces"] / task.masses[:, None]
         values[t > task.flight.duration, :, 6:] = 0.0
         return FileContents.of_samples(task.names, t, values, "ned", SMOOTH)
+
+
+def ground_of(task: ExportTask) -> float:
+    """Return the height of the ground [m], from which drones take off."""
+    return task.flight.requirements.ground_for("a take-off")
 
 
 def rise_of(task: ExportTask) -> PiecewisePolynomial:
@@ -185,13 +190,13 @@ def refuse_stacks(task: ExportTask, rise: PiecewisePolynomial) -> None:
 
 def _ascent(task: ExportTask) -> Array:
     """Return the displacement from the ground to the plan's first positions (D, 3) [m]."""
-    heights = task.curves.coefficients[0, :, 2, :1] - task.flight.requirements.floor
+    heights = task.curves.coefficients[0, :, 2, :1] - ground_of(task)
     return heights * [0.0, 0.0, 1.0]
 
 
 def receiver_settings(task: ExportTask) -> dict[str, float | bool]:
     """Return the settings with which all rows are flown, with velocity and acceleration."""
-    altitudes = task.flight.drones.coefficients[:, :, 2] - task.flight.requirements.floor
+    altitudes = task.flight.drones.coefficients[:, :, 2] - ground_of(task)
     below = floor(min(0.0, float(np.min(altitudes)))) - THRESHOLD_MARGIN
     return {
         "INITIAL_CLIMB_ALTITUDE_THRESHOLD": below,

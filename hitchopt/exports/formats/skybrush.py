@@ -98,6 +98,7 @@ WORD_START = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 LAND = "land"  # Action: descend directly
 LEVEL = "goToKeepAlt"  # Action: descend after a horizontal flight
 SPEED_SHARE = 0.9  # Fraction of the speed limit for returns, whose durations are integer seconds
+RETURN = "a return"  # What needs the ground, in messages without one
 LANDING_SPEED = 0.5  # Default speed of a descent [m/s]
 MIN_SEPARATION = 1.01  # Minimum separation of planned returns, with a margin for rounding
 MAX_RETURNS = 60  # Maximum number of returns of a plan
@@ -423,7 +424,7 @@ def _return_candidates(
     level = start[:, :2]
     zero = np.zeros(len(start))
     yield entries(level, 0, zero, zero)
-    height = float(np.max(start[:, 2])) - flight.requirements.floor
+    height = float(np.max(start[:, 2])) - flight.requirements.ground_for(RETURN)
     descent = ceil(height / _landing_speed(flight)) + 1
     # Drones of equal height descend together, the lowest first.
     rank = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1)
@@ -448,7 +449,7 @@ def return_checks(
     ((time, action, duration),) = {(e["time"], e["action"], e["duration"]) for e in entries}
     if action not in (LAND, LEVEL) or float(time) % 1.0:
         raise ValueError("an unknown action, or a time that is not a whole second")
-    floor = flight.requirements.floor
+    floor = flight.requirements.ground_for(RETURN)
     level = start[:, :2]
     starts, after = (
         np.array([entry[key] for entry in entries], dtype=np.float64)

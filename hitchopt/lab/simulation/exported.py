@@ -243,7 +243,8 @@ def _flown(
     """Return the export as it is flown: setpoints at the samples of a prolonged plan."""
     legs, before = list[Flight](), 0.0
     begins_tied = any(bool(each.motion.formed[0]) for each in planned.teams)
-    first, floor = parts[0].curves.at(0.0), planned.requirements.floor
+    first = parts[0].curves.at(0.0)
+    floor = planned.requirements.ground_or(float(np.min(first[:, 2])))
     is_scripted = isinstance(kind, CrazyflieFormat)
     if is_scripted and not begins_tied and float(np.min(first[:, 2])) - floor > LANDED:
         before = BEFORE

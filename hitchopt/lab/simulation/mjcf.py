@@ -114,7 +114,8 @@ class _Start:
         places = flight_states_at(flight, 0.0).positions
         if not flight.has_cables:
             ropes, drones = Ropes(np.zeros(0), 0.0, 0.0, FAST), list(range(len(names)))
-            return cls(ropes, flight.requirements.floor, {}, drones, places, None)
+            ground = flight.requirements.ground_or(float(np.min(places[:, 2])))
+            return cls(ropes, ground, {}, drones, places, None)
         task = Task.of(flight)
         if np.any(task.team.load):
             raise unsupported(Feature.SCENE, Neighbour.LOADS)

@@ -120,6 +120,12 @@ def layout_links(layout: Layout) -> NDArray[np.int64]:
 
 
 def ground_of(task: Task) -> float:
-    """Return the height of the ground [m]: that of objects, else 0 or below the lowest drone."""
+    """Return the height of the ground [m], without objects below the lowest drone.
+
+    Without a ground it is below all cables.
+    """
     lowest = float(np.min(task.states.positions[..., 2])) - REST_HEIGHT
-    return task.cargo.floor if task.cargo.objects else min(0.0, lowest)
+    floor = task.cargo.floor
+    if floor is None:
+        return lowest - float(np.max(task.team.cable_length))
+    return floor if task.cargo.objects else min(floor, lowest)

@@ -52,7 +52,7 @@ class Cargo:
     held: Flags = field(default_factory=lambda: np.zeros((1, 0), dtype=np.bool_))
     # fraction of its weight that the hitch carries (samples, objects)
     load_share: Array = field(default_factory=lambda: np.zeros((1, 0)))
-    floor: float = 0.0  # height of the ground on which they stand [m]
+    floor: float | None = 0.0  # height of the ground on which they stand [m], if there is one
     # for several teams, the team whose hitch may hold each object
     holders: Mapping[str, str] = field(default_factory=dict)
 

@@ -270,7 +270,8 @@ class DetourSearch:
         # Detours keep an ellipsoid's height above the ground, more than the arena's floor requires.
         # An end of the path that is lower lowers this bound: near it the path itself stays free
         lowest_end = np.min(drones[[0, -1], :, 2])
-        lower[2] = min(lowest_end, requirements.floor + requirements.separation.height)
+        ground = requirements.ground_or(-math.inf)
+        lower[2] = min(lowest_end, ground + requirements.separation.height)
         least = np.full(SAMPLES, -np.inf)
         largest = np.full(SAMPLES, np.inf)
         for axis in np.flatnonzero(np.abs(direction) > EPS):
