@@ -292,8 +292,11 @@ class ReportRule(Quantity):
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check | None:
         """Return the value of one team as a check, which holds without a limit.
 
-        Without anything to evaluate, it is empty if there is a limit, and None otherwise.
+        Without anything to evaluate, it is empty if there is a limit, and None otherwise. It is
+        None if the quantity does not apply.
         """
+        if not self.applies(motion):
+            return None
         with np.errstate(all="ignore"):
             worst_case = self.evaluate(motion, results, gamma)
         limit = self.limit(motion.requirements)

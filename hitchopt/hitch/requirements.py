@@ -96,6 +96,16 @@ class Limits(OneLine):
             omitted=True,
         ),
     ] = None
+    swing: Annotated[
+        float | None,
+        Key(
+            units.VERTEX_ERROR,
+            "Largest distance of every vertex from the plan by the inertia of cables and loads, as "
+            "estimated; null: any, which is reported",
+            null=True,
+            omitted=True,
+        ),
+    ] = None
     survive: Annotated[
         str | None,
         Key(

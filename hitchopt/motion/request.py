@@ -129,7 +129,8 @@ def _decoded_record(kind: Any, value: Mapping[str, Any]) -> Any:
         kinds = decoded(tuple[Quadrotor, ...], value["quadrotor"])
         return Swarm(value["drones"], quadrotor=kinds)
     hints = _hints(kind)
-    values = dict[str, Any]()
+    keys = keys_of(kind) if is_dataclass(kind) else {}
+    values: dict[str, Any] = {name: None for name, key in keys.items() if key.omitted}
     for name, item in value.items():
         if name not in hints:
             raise InputError(name, item, UNKNOWN_KEY, REMEDY)
