@@ -10,6 +10,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from hitchopt.checks.certificate import (
+    BINDING,
     CONTINUOUS,
     OTHER,
     Check,
@@ -64,6 +65,7 @@ class WorstCase:
             group=quantity.group,
             is_error=quantity.is_error,
             derivative=quantity.derivative,
+            binds_within=quantity.binds_within,
             method=quantity.method,
         )
 
@@ -192,6 +194,7 @@ class Quantity:
     """The highest time derivative of positions that enters the quantity; 0 for none. The quantity
     is undefined where the next lower derivative jumps, and decreases in slow motion."""
 
+    binds_within: float = BINDING  # As in ``Check``
     method: str = CONTINUOUS  # The method, as in ``Check``
 
 

@@ -30,6 +30,7 @@ from hitchopt.values import Array, Indices, true_runs
 
 STEP = 0.02  # [s] Largest time between samples
 AFTER = 3.0  # [s] Time for which vertices swing after the end of a motion
+LEFT_SHARE = 0.5  # Largest share of the limit that planners leave at the end of a motion
 MAX_CHANGE = 0.04
 """[m] Largest move of a node within its hitch, which is linear about one rest before another."""
 
@@ -62,6 +63,11 @@ class SwingingHitch:
         accelerations[: len(times)] = _nodes(motion, times, 2)
         samples = np.diff(firsts, append=len(accelerations))
         return cls(hitch, samples, accelerations, start, (end - start) / steps)
+
+    @property
+    def moving(self) -> int:
+        """Number of samples before the end of the motion."""
+        return len(self.accelerations) - math.ceil(AFTER / STEP)
 
     @property
     def times(self) -> Array:
@@ -147,7 +153,7 @@ def swings_of(motion: Motion) -> list[Swing]:
     return _SWINGS[motion]
 
 
-def _largest_swing(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:
+def worst_swing(motion: Motion) -> WorstCase | None:
     """Return the largest distance [m]; None without inertia, or if cables are never taut."""
     swings = swings_of(motion)
     if not swings:
@@ -156,6 +162,10 @@ def _largest_swing(motion: Motion, _results: SpanResults, _gamma: float) -> Wors
     sample, vertex = np.unravel_index(int(np.argmax(largest.distances)), largest.distances.shape)
     where = (motion.team.point_names[vertex],)
     return WorstCase(float(np.max(largest.distances)), float(largest.times[sample]), where)
+
+
+def _largest_swing(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:
+    return worst_swing(motion)
 
 
 SWING = ReportRule(
@@ -169,7 +179,8 @@ SWING = ReportRule(
     assumes_gamma=False,
     applies=has_inertia,
     group="distances",
-    is_error=True,
+    derivative=2,
+    binds_within=1.0 - 0.9 * LEFT_SHARE,
     key="limits.swing",
     method=SAMPLED,
     proves="an estimate of the largest distance [m] of a vertex from the plan by the inertia of "

@@ -105,7 +105,7 @@ class Limits(OneLine):
             null=True,
             omitted=True,
         ),
-    ] = None
+    ] = 0.05
     survive: Annotated[
         str | None,
         Key(

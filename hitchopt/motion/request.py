@@ -129,7 +129,7 @@ def _decoded_record(kind: Any, value: Mapping[str, Any]) -> Any:
         kinds = decoded(tuple[Quadrotor, ...], value["quadrotor"])
         return Swarm(value["drones"], quadrotor=kinds)
     hints = _hints(kind)
-    keys = keys_of(kind) if is_dataclass(kind) else {}
+    keys = keys_of(kind) if isinstance(kind, type) and is_dataclass(kind) else {}
     values: dict[str, Any] = {name: None for name, key in keys.items() if key.omitted}
     for name, item in value.items():
         if name not in hints:
