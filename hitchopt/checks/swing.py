@@ -17,6 +17,7 @@ from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import SAMPLED
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
@@ -29,6 +30,7 @@ from hitchopt.motion.states import TAUT_RATIO, states_at
 from hitchopt.values import Array, Indices, true_runs
 
 STEP = 0.02  # [s] Largest time between samples
+AT_REST = 1e-6  # [m/s²] Largest acceleration of a plan at rest
 AFTER = 3.0  # [s] Time for which vertices swing after the end of a motion
 LEFT_SHARE = 0.5  # Largest share of the limit that planners leave at the end of a motion
 MAX_CHANGE = 0.04
@@ -138,6 +140,13 @@ class Swing(NamedTuple):
 
     times: Array  # (S,) [s]
     distances: Array  # (S, points) [m]
+    moves: NDArray[np.bool_]  # (S,), whether the plan accelerates
+
+    @classmethod
+    def of(cls, hitch: SwingingHitch) -> Swing:
+        """Return the distances of a hitch's vertices."""
+        moves = np.max(np.abs(hitch.accelerations), axis=(1, 2)) > AT_REST
+        return cls(hitch.times, hitch.distances(), moves)
 
 
 _SWINGS: WeakKeyDictionary[Motion, list[Swing]] = WeakKeyDictionary()
@@ -147,10 +156,20 @@ _SWINGS: WeakKeyDictionary[Motion, list[Swing]] = WeakKeyDictionary()
 def swings_of(motion: Motion) -> list[Swing]:
     """Return the swings of a motion, in order of time; computed only once."""
     if motion not in _SWINGS:
-        _SWINGS[motion] = [
-            Swing(hitch.times, hitch.distances()) for hitch in swinging_hitches(motion)
-        ]
+        _SWINGS[motion] = list(map(Swing.of, swinging_hitches(motion)))
     return _SWINGS[motion]
+
+
+def swings_at_rests(motion: Motion, times: Array) -> Array:
+    """Return how far points (J, points) [m] swing while a motion rests from times (J,) [s] on."""
+    left = np.zeros((len(times), motion.team.layout.points))
+    for swing in swings_of(motion):
+        for rest, time in enumerate(times.tolist()):
+            first = int(np.searchsorted(swing.times, time))
+            moves = np.append(swing.moves[first:], True)
+            at_rest = swing.distances[first : first + max(int(np.argmax(moves)), 1)]
+            left[rest] = np.maximum(left[rest], np.max(at_rest, axis=0, initial=0.0))
+    return left
 
 
 def worst_swing(motion: Motion) -> WorstCase | None:

@@ -58,7 +58,7 @@ def row(motion: Motion) -> float:
 def rotated(points: Array, angle: float) -> Array:
     """Return points (…, 2) turned about the origin by an angle [rad]."""
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return points @ turn.T
+    return np.asarray(points @ turn.T)
 
 
 @pytest.mark.parametrize(
