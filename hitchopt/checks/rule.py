@@ -39,6 +39,7 @@ class WorstCase:
     ``size`` is the largest length that enters, as in ``with_tolerance``. ``limit`` replaces the
     rule's limit if items such as drones have their own limits. ``binding`` is the name of the check
     that determines the quantity, if it follows from several. ``unit`` replaces the rule's unit.
+    ``binds_within`` is as in ``Check``.
     """
 
     worst: float
@@ -48,6 +49,7 @@ class WorstCase:
     limit: float | None = None
     binding: str = ""
     unit: str = ""
+    binds_within: float = BINDING
 
     def check(self, quantity: Quantity, limit: float | None, gamma: float | None = None) -> Check:
         """Return the check of a quantity."""
@@ -65,7 +67,7 @@ class WorstCase:
             group=quantity.group,
             is_error=quantity.is_error,
             derivative=quantity.derivative,
-            binds_within=quantity.binds_within,
+            binds_within=self.binds_within,
             method=quantity.method,
         )
 
@@ -194,7 +196,6 @@ class Quantity:
     """The highest time derivative of positions that enters the quantity; 0 for none. The quantity
     is undefined where the next lower derivative jumps, and decreases in slow motion."""
 
-    binds_within: float = BINDING  # As in ``Check``
     method: str = CONTINUOUS  # The method, as in ``Check``
 
 

@@ -5,14 +5,15 @@ behind while they move, and swing afterwards. The estimate is the linear respons
 rests of ``hitchopt.hitch.swing``, of a hitch that is at rest when its cables become taut, while
 they are taut, and for some time after the end of the motion.
 
-The weight and the inertia of held bodies are part of the plan. Their masses make the hitch swing
-more slowly: each clasp has its share, as if it were a load.
+The weight and the inertia of bodies that rest on clasps are part of the plan. Their masses make
+the hitch swing more slowly: each clasp has its share, as if it were a load. Cables that grip a body
+press on it, which holds them: grips are not estimated.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -25,14 +26,15 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch.rest_errors import planned_rest
 from hitchopt.hitch.swing import LinearHitch
 from hitchopt.motion.loads import stated_tensions, supports_of
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.motion.states import TAUT_RATIO, states_at
 from hitchopt.values import Array, Indices, true_runs
 
 STEP = 0.02  # [s] Largest time between samples
 AT_REST = 1e-6  # [m/s²] Largest acceleration of a plan at rest
 AFTER = 3.0  # [s] Time for which vertices swing after the end of a motion
-LEFT_SHARE = 0.5  # Largest share of the limit that planners leave at the end of a motion
+LEFT_SHARE = 0.5  # Largest share of the limit that planners leave while a motion rests
+LEFT_MARGIN = 0.05  # Largest margin of this share within which it limits a plan's speed
 MAX_CHANGE = 0.04
 """[m] Largest move of a node within its hitch, which is linear about one rest before another."""
 
@@ -126,12 +128,16 @@ def has_inertia(motion: Motion) -> bool:
 
 
 def swinging_hitches(motion: Motion) -> list[SwingingHitch]:
-    """Return the hitch of each part of a motion in which cables are taut; none without inertia."""
+    """Return the hitch of each part of a motion in which cables are taut and grip nothing.
+
+    There is none without inertia.
+    """
     if not has_inertia(motion):
         return []
     lowest = stated_tensions(motion)[..., 0]
     tensions = np.min(motion.tensions.coefficients, axis=-1)
-    taut = motion.formed & np.all(tensions >= TAUT_RATIO * lowest, axis=1)
+    grips = motion.in_phases(lambda phase: phase.hold is not None and phase.hold.by is HoldBy.GRIP)
+    taut = motion.formed & ~grips & np.all(tensions >= TAUT_RATIO * lowest, axis=1)
     return [SwingingHitch.of(motion.on_pieces(*run)) for run in true_runs(taut)]
 
 
@@ -184,7 +190,16 @@ def worst_swing(motion: Motion) -> WorstCase | None:
 
 
 def _largest_swing(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:
-    return worst_swing(motion)
+    """Return ``worst_swing``, which also limits a plan's speed by what it leaves at rests."""
+    worst = worst_swing(motion)
+    limit = motion.requirements.limits.swing
+    if worst is None or limit is None:
+        return worst
+    at_rest = (swing.distances[~swing.moves] for swing in swings_of(motion))
+    left = max(float(np.max(distances, initial=0.0)) for distances in at_rest)
+    if left < (1.0 - LEFT_MARGIN) * LEFT_SHARE * limit:
+        return worst
+    return replace(worst, binds_within=1.0 - (1.0 - LEFT_MARGIN) * LEFT_SHARE)
 
 
 SWING = ReportRule(
@@ -199,10 +214,9 @@ SWING = ReportRule(
     applies=has_inertia,
     group="distances",
     derivative=2,
-    binds_within=1.0 - 0.9 * LEFT_SHARE,
     key="limits.swing",
     method=SAMPLED,
     proves="an estimate of the largest distance [m] of a vertex from the plan by the inertia of "
     "cables and loads, while cables are taut and after the end",
-    unproven="it is the response of a linear model at samples; friction, which damps, is ignored",
+    unproven="grips; it is the response of a linear model at samples, without friction",
 )

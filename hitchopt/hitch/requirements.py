@@ -451,6 +451,13 @@ class Requirements(ByValue):
             return self
         return replace(self, limits=with_fields(self.limits, duration=None))
 
+    @property
+    def in_haste(self) -> Requirements:
+        """The requirements without a limit of swing: of stops, aborts and new goals in flight."""
+        if self.limits.swing is None:
+            return self
+        return replace(self, limits=with_fields(self.limits, swing=None))
+
 
 def check_survivable(team: Team, requirements: Requirements) -> None:
     """Raise InputError unless the loss of a cable can be survived by such a team."""
