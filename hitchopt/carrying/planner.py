@@ -30,6 +30,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.ends import spread_hitch
 from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.planners.timing.swing import calm_stretch
 from hitchopt.values import Array
 
 LIFT_SPEED = 0.4  # [m/s] Vertical speed with an object
@@ -338,7 +339,7 @@ class MovePlanner:
         """
         try:
             motion = self.motion([move])
-            factor = needed_stretch(motion)
+            factor = calm_stretch(motion, needed_stretch(motion))
             violated = first_violated(motion, checks) if factor <= 1.0 else None
         except BalanceError as error:  # of a motion that is too fast, not of the hold
             if not checks:

@@ -72,6 +72,7 @@ class Check(OneLine):
     group: heading in the table: one of GROUPS, CUSTOM or OTHER.
     is_error: whether the quantity is an error, titled as such in tables.
     derivative: highest time derivative of positions in the quantity; 0 for none.
+    binds_within: largest margin, over the limit, with which it limits a plan's speed.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Check(OneLine):
     group: str = OTHER
     is_error: bool = False
     derivative: int = 0
+    binds_within: float = BINDING
 
     @classmethod
     def of(
@@ -108,7 +110,7 @@ class Check(OneLine):
 
         Files cannot store infinities and nan: they become the largest number and the worst one. An
         infinite worst value that holds is the extremum of an empty set; ``where`` is then empty.
-        ``metadata`` are ``group``, ``is_error``, ``derivative`` and ``method``.
+        ``metadata`` are ``group``, ``is_error``, ``derivative``, ``binds_within`` and ``method``.
         """
         largest = sys.float_info.max
         if limit is not None:
@@ -336,10 +338,10 @@ class Certificate(OneLine):
     def binding(self) -> tuple[str, ...]:
         """Names of the checks that limit the plan's speed, closest to its limit first.
 
-        Their worst values, of derivatives of positions, are within 2 % of the limit.
+        They depend on derivatives of positions, and are within their ``binds_within`` of the limit.
         """
         rates = [check for check in self.limited if check.derivative]
-        near = [check for check in rates if check.utilization >= -BINDING]
+        near = [check for check in rates if check.utilization >= -check.binds_within]
         return tuple(check.name for check in sorted(near, key=lambda check: -check.utilization))
 
     @property

@@ -21,6 +21,7 @@ from hitchopt.checks import (
 from hitchopt.checks.downwash import DOWNWASH
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, FlightReport, Quantity, ReportRule
+from hitchopt.checks.swing import SWING
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.checks.vertex_errors import VERTEX_ERROR
 from hitchopt.hitch.pairs import Kind
@@ -60,7 +61,12 @@ RULES: tuple[CheckRule, ...] = (
 PART_REPORTS: tuple[ReportRule, ...] = (TRACKING_RADIUS, *_of_slices("PART_REPORTS"))
 """Reports of each team whose values of a joined motion follow from those of its parts."""
 
-TEAM_REPORTS = (*PART_REPORTS, *_of_slices("TEAM_REPORTS"), VERTEX_ERROR)  # Reports of each team
+TEAM_REPORTS = (
+    *PART_REPORTS,
+    *_of_slices("TEAM_REPORTS"),
+    SWING,
+    VERTEX_ERROR,
+)  # Reports of each team
 FLIGHT_REPORTS = (stops.STOPPABLE,)  # Reports of whole flights
 
 REPORTS = (*TEAM_REPORTS, *FLIGHT_REPORTS)

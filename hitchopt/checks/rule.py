@@ -10,6 +10,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from hitchopt.checks.certificate import (
+    BINDING,
     CONTINUOUS,
     OTHER,
     Check,
@@ -38,6 +39,7 @@ class WorstCase:
     ``size`` is the largest length that enters, as in ``with_tolerance``. ``limit`` replaces the
     rule's limit if items such as drones have their own limits. ``binding`` is the name of the check
     that determines the quantity, if it follows from several. ``unit`` replaces the rule's unit.
+    ``binds_within`` is as in ``Check``.
     """
 
     worst: float
@@ -47,6 +49,7 @@ class WorstCase:
     limit: float | None = None
     binding: str = ""
     unit: str = ""
+    binds_within: float = BINDING
 
     def check(self, quantity: Quantity, limit: float | None, gamma: float | None = None) -> Check:
         """Return the check of a quantity."""
@@ -64,6 +67,7 @@ class WorstCase:
             group=quantity.group,
             is_error=quantity.is_error,
             derivative=quantity.derivative,
+            binds_within=self.binds_within,
             method=quantity.method,
         )
 
@@ -291,8 +295,11 @@ class ReportRule(Quantity):
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check | None:
         """Return the value of one team as a check, which holds without a limit.
 
-        Without anything to evaluate, it is empty if there is a limit, and None otherwise.
+        Without anything to evaluate, it is empty if there is a limit, and None otherwise. It is
+        None if the quantity does not apply.
         """
+        if not self.applies(motion):
+            return None
         with np.errstate(all="ignore"):
             worst_case = self.evaluate(motion, results, gamma)
         limit = self.limit(motion.requirements)

@@ -3,7 +3,8 @@
 A rest is a time at which the hitch holds nothing, its cables have at least nine tenths of their
 team's tensions, and no drone has a velocity or an acceleration. Errors are the worst case of
 ``team.errors``, as ``hitchopt.hitch.rest_errors`` bounds it: the position loops hold the planned
-pulls, and errors of cables, drones and friction are independent and as large as stated.
+pulls, and errors of cables, drones and friction are independent and as large as stated. The swing
+that earlier motion leaves is added, as estimated by ``hitchopt.checks.swing``.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
+from hitchopt.checks.swing import swings_at_rests
 from hitchopt.hitch.rest_errors import KINDS, ErrorSizes, planned_rest, vertex_errors
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States, states_at
@@ -30,6 +32,7 @@ class RestErrors(NamedTuple):
     time: float  # [s] Time of the rest
     radii: Array  # (points,) [m], largest distances of vertices from their planned positions
     parts: Array  # (points, 3) [m], contributions of cables, drones and friction, to first order
+    swing: Array  # (points,) [m], contributions of what still swings
 
 
 def states_at_rests(motion: Motion) -> States | None:
@@ -79,11 +82,10 @@ def errors_of_sizes(motion: Motion, sizes: ErrorSizes) -> list[RestErrors]:
         motion.team, states.positions, states.vertices, states.tensions, states.cable_forces
     )
     errors = vertex_errors(motion.team, rests, sizes)
-    times = (motion.drones.breaks[0] + states.t).tolist()
-    return [
-        RestErrors(time, radii, parts)
-        for time, radii, parts in zip(times, errors.radii, errors.parts, strict=True)
-    ]
+    times = motion.drones.breaks[0] + states.t
+    swing = swings_at_rests(motion, times)
+    of_rests = zip(times.tolist(), errors.radii + swing, errors.parts, swing, strict=True)
+    return [RestErrors(*of_rest) for of_rest in of_rests]
 
 
 def _worst_vertex(motion: Motion) -> tuple[RestErrors, int] | None:
@@ -115,6 +117,7 @@ def error_in_words(motion: Motion) -> str:
     if not np.isfinite(radius):
         return f"{name}: no equilibrium was found for errors as large as team.errors"
     parts = dict(zip(KINDS, (100.0 * rest.parts[vertex]).tolist(), strict=True))
+    parts["swing"] = 100.0 * float(rest.swing[vertex])
     parts["higher-order terms"] = radius - sum(parts.values())
     causes = ", ".join(f"{x:.2g} cm from {kind}" for kind, x in parts.items() if x > 0.0)
     return f"vertex error: up to {radius:.3g} cm, at {name}, t = {rest.time:.4g} s ({causes})"
@@ -132,6 +135,7 @@ VERTEX_ERROR = ReportRule(
     assumes_gamma=False,
     group="distances",
     key="limits.vertex_error",
-    proves="the largest error [m] of a vertex at rest, in the worst case of `team.errors`",
-    unproven="objects, integrals; second order is estimated",
+    proves="the largest error [m] of a vertex at rest, in the worst case of `team.errors`, and the "
+    "swing that is left there",
+    unproven="objects, integrals; second order and swing are estimated",
 )

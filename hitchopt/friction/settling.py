@@ -37,6 +37,7 @@ from hitchopt.planners.morph.legs import legs_clear
 from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.rests import IDLE, rest_motion, rest_plan
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
+from hitchopt.planners.timing.swing import after_swing, calm_stretch
 from hitchopt.values import Array, counted
 from hitchopt.values.fields import with_fields
 
@@ -82,7 +83,7 @@ def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) ->
     largest_slide = np.max(np.ptp(plan.motion.legs.coefficients, axis=(0, -1)))
     if before is not None and largest_slide < MIN_SLIDE:
         return plan
-    at_end = task.within(task.requirements, plan.after)
+    at_end = task.within(after_swing(task.requirements, plan.motion), plan.after)
     phase = Phase(SETTLE, plan.motion.phases[-1].step, 0.0, 0.0)
     seconds = settle if isinstance(settle, float) else None
     start = None if np.any(plan.motion.holding) else before
@@ -369,7 +370,7 @@ class Settling:
     def _move(self, end: Hitch, task: StepTask) -> StepPlan:
         """Return the plan of a straight morph, or of a rest."""
         plan = straight_plan(task, end, self.phase)
-        factor = max(1.0, self.shortest_move / plan.motion.duration)
+        factor = calm_stretch(plan.motion, max(1.0, self.shortest_move / plan.motion.duration))
         return plan.replaced(plan.motion.slowed(factor), plan.after)
 
     def rest(self, remark: str) -> StepPlan:

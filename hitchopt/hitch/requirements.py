@@ -102,6 +102,16 @@ class Limits(OneLine):
             omitted=True,
         ),
     ] = None
+    swing: Annotated[
+        float | None,
+        Key(
+            units.VERTEX_ERROR,
+            "Largest distance of every vertex from the plan by the inertia of cables and loads, as "
+            "estimated; null: any, which is reported",
+            null=True,
+            omitted=True,
+        ),
+    ] = 0.05
     survive: Annotated[
         str | None,
         Key(
@@ -114,9 +124,10 @@ class Limits(OneLine):
     floor: Annotated[
         float | None,
         Key(
-            units.FLOOR,
+            units.WALL,
             "Height of the ground, above which drones, loads, objects and taut or hanging cables "
             "stay; the arena's lower face if that is higher; null: none, or the arena's lower face",
+            null=True,
             omitted=True,
         ),
     ] = 0.0
@@ -476,6 +487,13 @@ class Requirements(ByValue):
         if self.limits.duration is None:
             return self
         return replace(self, limits=with_fields(self.limits, duration=None))
+
+    @property
+    def in_haste(self) -> Requirements:
+        """The requirements without a limit of swing: of stops, aborts and new goals in flight."""
+        if self.limits.swing is None:
+            return self
+        return replace(self, limits=with_fields(self.limits, swing=None))
 
 
 def check_survivable(team: Team, requirements: Requirements) -> None:

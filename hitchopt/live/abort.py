@@ -114,7 +114,7 @@ class Aborts:
 
     def __init__(self, flight: Flight) -> None:
         self.others = flight.others  # they fly on regardless of this plan's clock
-        self.flight = flight.without_others
+        self.flight = flight.without_others.each_team(_in_haste)
         self._rests = self.flight.breaks[self.flight.rest_breaks]
         self._stopped = lru_cache(KNOWN_STOPS)(self._stop_at)
 
@@ -321,6 +321,13 @@ class Aborts:
         return Flight(
             tuple(replace(way, motion=continued(way.motion, planned)) for way, planned in pairs)
         )
+
+
+def _in_haste(motion: Motion) -> Motion:
+    """Return a motion that may swing."""
+    requirements = motion.requirements.in_haste
+    same = requirements is motion.requirements
+    return motion if same else motion.replaced(requirements=requirements)
 
 
 def _on_clock(flight: Flight, clock: ClockPhases) -> Flight:

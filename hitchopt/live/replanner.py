@@ -166,7 +166,7 @@ class Replanner(OneLine):
         if not has_same_drones or np.any(flown.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "use the team of the start")
         specified = {key: value for key, value in options.items() if value is not None}
-        self.requirements = replace(motion.requirements, **specified).flown_by(flown)
+        self.requirements = replace(motion.requirements, **specified).flown_by(flown).in_haste
         self.motion = replace(motion, requirements=self.requirements)
         self._goal = goal
         self._limits = self.requirements.with_reserve.limits.of_clocks(GRAVITY)

@@ -111,8 +111,9 @@ class Chain:
     @lazy
     def need(self) -> Requirements:
         """Requirements of what follows the loss."""
-        limits = with_fields(self.motion.requirements.limits, survive=None, duration=None)
-        return replace(self.motion.requirements, limits=limits)
+        requirements = self.motion.requirements.in_haste
+        limits = with_fields(requirements.limits, survive=None, duration=None)
+        return replace(requirements, limits=limits)
 
     @property
     def lost(self) -> Indices:

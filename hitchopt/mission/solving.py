@@ -34,6 +34,7 @@ from hitchopt.planners.ends import split_hitch
 from hitchopt.planners.path import Path
 from hitchopt.planners.rests import check_at_rest, check_start
 from hitchopt.planners.task import RestState, StepPlan, StepTask
+from hitchopt.planners.timing.swing import after_swing
 from hitchopt.slices import hooks, provided
 from hitchopt.steps.blended import plan_blended
 from hitchopt.steps.hitch_step import NonstopStep
@@ -166,6 +167,8 @@ def _plan_steps(
     for first, group in _groups(steps):
         report(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
         needed, stated = map(state.with_objects, (with_reserve, requirements))
+        if motions:
+            needed = after_swing(needed, concatenated(motions))
         task = StepTask(state, first, needed, optimiser, stated)
         try:
             plan = _plan_group(group, task, report, cache)

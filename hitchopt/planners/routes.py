@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from hitchopt.checks.swing import has_inertia
 from hitchopt.errors import AT_END
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
@@ -20,6 +21,7 @@ from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.optimised_route import OptimisedRoute
 from hitchopt.planners.rests import check_at_rest
 from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.planners.timing.stretch import needed_stretch
 
 if TYPE_CHECKING:
     from hitchopt.planners.path import Path
@@ -48,9 +50,11 @@ def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
         return False
     bound = min_duration(start, end, plan.motion.requirements.limits)
     turn = abs(turns(start.polygon, end.polygon)[0])
+    duration = plan.motion.duration
+    if plan.motion.requirements.limits.swing is not None and has_inertia(plan.motion):
+        duration *= needed_stretch(plan.motion)  # other routes swing as far
     return any(
-        plan.motion.duration > ratio * bound and turn >= least_turn
-        for ratio, least_turn in SEARCH_THRESHOLDS
+        duration > ratio * bound and turn >= least_turn for ratio, least_turn in SEARCH_THRESHOLDS
     )
 
 

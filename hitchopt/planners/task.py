@@ -20,6 +20,7 @@ from hitchopt.motion.motion import Motion, Phase, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.path import Path
+from hitchopt.planners.timing.swing import after_swing
 from hitchopt.planners.timing.timed_motion import check_duration
 from hitchopt.values import Array
 
@@ -142,7 +143,10 @@ def plan_in_sequence(
     state = task.before
     motions = list[Motion]()
     for planner in planners:
-        plan = planner(task.within(state.with_objects(task.requirements), state))
+        requirements = state.with_objects(task.requirements)
+        if motions:
+            requirements = after_swing(requirements, concatenated(motions))
+        plan = planner(task.within(requirements, state))
         motions.append(plan.motion)
         state = plan.after
     return StepPlan(concatenated(motions), state)

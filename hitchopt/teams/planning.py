@@ -21,6 +21,7 @@ from hitchopt.motion.motion import WAIT, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.planners.timing.swing import calm_stretch
 from hitchopt.teams.schedule import STEP, Blocked, Placed, SampledPath, Schedule
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
@@ -263,7 +264,8 @@ def _climbing(motion: Motion, height: float) -> Motion | None:
         replace(phase, remark="; ".join(filter(None, (phase.remark, remark))))
         for phase in raised.phases
     ]
-    slowed = raised.replaced(phases=tuple(phases)).slowed(max(1.0, needed_stretch(raised)))
+    factor = calm_stretch(raised, max(1.0, needed_stretch(raised)))
+    slowed = raised.replaced(phases=tuple(phases)).slowed(factor)
     return slowed.replaced(requirements=motion.requirements)
 
 

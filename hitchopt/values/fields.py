@@ -66,7 +66,6 @@ P = ParamSpec("P")
 Schema = dict[str, Any]
 
 EMPTY = inspect.Parameter.empty  # Default of a field without one
-NULL = "null"  # Form of None, of a kind that has it besides a default value
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +100,7 @@ class Key:
     example: Any = None  # example of a value in files
     name: str = ""  # key in files, if it differs from the field's name
     default: Any = EMPTY  # default value; set by ``keys_of``, EMPTY without one
+    null: bool = False  # whether None is a value of it; it always is as its default
     omitted: bool = False  # plan files omit its default: earlier ones do not have the key
 
     @property
@@ -108,9 +108,14 @@ class Key:
         """Kind of its values in files."""
         return self.kind.degrees or self.kind
 
+    @property
+    def accepts_none(self) -> bool:
+        """Return whether None is a value of it."""
+        return self.null or self.default is None
+
     def check_given(self, kind: Kind, key: str, value: Any) -> None:
         """Raise InputError for None in place of a value of a kind that can be omitted."""
-        if value is None and self.default is not EMPTY and NULL not in kind.forms:
+        if value is None and self.default is not EMPTY:
             raise InputError(key, None, kind.bound, "set a value, or omit it")
 
     def from_file(self, key: str, value: Any) -> Any:
@@ -167,12 +172,12 @@ def _declared_keys(record: type[Any]) -> Iterator[tuple[str, Key]]:
 def store(record: object, **values: Any) -> None:
     """Set fields of a frozen record; values of fields with a key are checked.
 
-    None is accepted if it is the field's default.
+    None is accepted if it is the field's default, or a value of its key.
     """
     keys = keys_of(type(record))
     for name, value in values.items():
         key, stored = keys.get(name), value
-        if key is not None and not (value is None and key.default is None):
+        if key is not None and not (value is None and key.accepts_none):
             key.check_given(key.kind, name, value)
             stored = key.kind.check(name, value)
         object.__setattr__(record, name, stored)
@@ -331,7 +336,7 @@ def arguments_from(
         if declared.default is EMPTY and (isinstance(value, Missing) or value in (None, [])):
             remedy = remedies.get(name, f"add {name}: {_as_yaml(declared.example)}")
             raise InputError(path, value, "given", remedy)
-        if value is None and declared.default is None:
+        if value is None and declared.accepts_none:
             return field, None
         return field, declared.from_file(path, value)
 
@@ -403,7 +408,7 @@ def keys_schema(
     properties, required = dict[str, Any](), list[str]()
     for key in keys:
         entry = resolved_schema(key.file_kind, definitions)
-        if key.default is None:
+        if key.accepts_none:
             entry = {"anyOf": [entry, {"type": "null"}]}
         if isinstance(key.default, str | int | float):
             entry = entry | {"default": key.to_file(key.default)}
@@ -588,16 +593,6 @@ def either(*kinds: Kind) -> Kind:
         degrees = either(*(kind.degrees or kind for kind in kinds))
     unit = next((kind.unit for kind in kinds if kind.unit), "")
     return Kind(tuple(forms), check, {"oneOf": list(kinds)}, unit, degrees, accepted)
-
-
-def nullable(kind: Kind) -> Kind:
-    """Return the kind of a value or null, for keys whose default is neither null nor absent."""
-
-    def check(key: str, value: Any) -> Any:
-        return None if value is None else kind.check(key, value)
-
-    schema = {"anyOf": [kind, {"type": NULL}]}
-    return Kind((*kind.forms, NULL), check, schema, kind.unit, accepted=kind.accepted)
 
 
 def one_or_each(kind: Kind, min_length: int, max_length: int) -> Kind:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hitchopt.errors import InputError, UnitWarning
 from hitchopt.values import MAX_COORDINATE, SCALAR, finite
-from hitchopt.values.fields import Kind, nullable
+from hitchopt.values.fields import Kind
 
 SKIPPED_FILES = (
     str(Path(__file__).parents[1]),
@@ -186,7 +186,6 @@ NEAR = (-MAX_COORDINATE, MAX_COORDINATE)
 ALTITUDE = quantity("m", (-50.0, 50.0), NEAR, LENGTHS, typical=1.5)
 PLACED_ALTITUDE = quantity("m", NEAR, NEAR, LENGTHS)
 WALL = quantity("m", (-2e3, 2e3), (-MAX_WALL, MAX_WALL), LENGTHS)
-FLOOR = nullable(WALL)
 COORDINATE = quantity("m", UNBOUNDED, (-HUGE, HUGE))
 DURATION = quantity("s", (1e-3, 1e5), (TINY, 1e9), (("milliseconds", 1e-3),))
 START_TIME = quantity("s", (0.0, 1e5), (0.0, 1e9), (("milliseconds", 1e-3),))

@@ -25,7 +25,7 @@ TYPES = {
     "tube": "level:0+ height:0+",
     "gains": "kp:+[2]? kd:+[2]? ki:0+[2]?",
     "limits": "speed:+ acceleration:+ jerk:+ tilt:+ body_rate:+? vertex_speed:+ leg:+ duration:+? "
-    "reserve:+ tracking:tube? vertex_error*:+ rest_shift*:+ survive*:text floor*:number?",
+    "reserve:+ tracking:tube? vertex_error*:+ rest_shift*:+ swing*:+? survive*:text floor*:number?",
     "separation": "radius:+ height:+ cable:0+ crossing:0+ object:0+",
     "arena": "lower:number[3] upper:number[3]",
     "prism": "polygon:number[2][] lower:number upper:number",

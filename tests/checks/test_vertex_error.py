@@ -10,6 +10,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.checks.certifying import certify
+from hitchopt.checks.swing import swings_at_rests
 from hitchopt.checks.vertex_errors import error_in_words, errors_at_rests, states_at_rests
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.requirements import Requirements
@@ -20,7 +21,7 @@ from hitchopt.motion.motion import PLAIN, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, known
 from hitchopt.verify import verify
 from hitchopt.verify.reading import read
 from hitchopt.verify.request import contradicts
@@ -282,7 +283,7 @@ def test_words_add_up_to_the_largest_error() -> None:
 
 
 def test_a_limit_is_checked_and_proven_independently(tmp_path: Path) -> None:
-    plain = plan(*PLANS[1])
+    plain = plan(*PLANS[0])
     worst = plain.certificate["vertex_error"]
     assert (worst.limit, worst.holds, worst.gamma) == (None, True, None)
     for limit, holds in ((1.01 * worst.worst, True), (0.99 * worst.worst, False)):
@@ -296,6 +297,23 @@ def test_a_limit_is_checked_and_proven_independently(tmp_path: Path) -> None:
         row = next(row for row in verify(tmp_path) if row.name == "vertex_error")
         assert row.verdict == ("proven" if holds else "violated")
         assert row.worst == pytest.approx(worst.worst, rel=1e-3)
+
+
+def test_swings_count_at_rests_and_are_not_proven(tmp_path: Path) -> None:
+    """The verifier has the same errors without them."""
+    motion = plan(*PLANS[1]).motion
+    rests = errors_at_rests(motion)
+    left = swings_at_rests(motion, np.array([rest.time for rest in rests]))
+    assert [rest.swing.tolist() for rest in rests] == left.tolist()
+    assert np.all(left[0] == 0.0)
+    assert 0.0 < np.max(left[-1]) <= 0.5 * known(motion.requirements.limits.swing)
+    limits = replace(motion.requirements.limits, vertex_error=0.3)
+    limited = motion.replaced(requirements=replace(motion.requirements, limits=limits))
+    write_plan(tmp_path / "plan.npz", Flight.of(limited))
+    row = next(row for row in verify(tmp_path) if row.name == "vertex_error")
+    without = max(float(np.max(rest.radii - rest.swing)) for rest in rests)
+    assert row.verdict == "at samples"
+    assert row.worst == pytest.approx(without, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,7 @@ from hitchopt.planners.morph.morph import (
 from hitchopt.planners.morph.tracks import eased, spline_through, vertex_track
 from hitchopt.planners.path import LegLaw, Path, drones_along, path_jets, roll_between, shapes_along
 from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.planners.timing.swing import check_swing
 from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MAX_PIECES,
@@ -291,11 +292,11 @@ class ActionMorph:
         Raises InfeasibleError with the smallest time if that is not enough.
         """
         motion = fly_timed(path, self.requirements, seconds)
-        if not 1.0 < needed_stretch(motion) < MAX_EASED_STRETCH:
-            return motion
-        limits = clocked_limits(path, self.requirements)
-        motion = fly_timed(eased(path, limits, seconds), self.requirements, seconds)
-        check_duration(seconds, needed_stretch(motion) * seconds)
+        if 1.0 < needed_stretch(motion) < MAX_EASED_STRETCH:
+            limits = clocked_limits(path, self.requirements)
+            motion = fly_timed(eased(path, limits, seconds), self.requirements, seconds)
+            check_duration(seconds, needed_stretch(motion) * seconds)
+        check_swing(motion)
         return motion
 
     def _moved_drones(self, motion: Motion) -> MovedDrones:

@@ -15,6 +15,7 @@ from hitchopt.planners.path import LegLaw, Path
 from hitchopt.planners.sampling import EvenSamples
 from hitchopt.planners.timing.clock import Clock
 from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.planners.timing.swing import calm_stretch
 from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MIN_DURATION,
@@ -64,7 +65,7 @@ def motion_by_earlier_clock(
     """
     evenly = PiecewisePolynomial.constant(progress.breaks, 1.0)
     motion = motion_by(path, requirements, Clock(progress.breaks, progress, evenly))
-    stretch = needed_stretch(motion)
+    stretch = calm_stretch(motion, needed_stretch(motion))
     is_near = MAX_STRETCH * min(stretch, 1.0 / stretch) >= 1.0
     if not is_near or cable_error(motion) > MAX_CABLE_ERROR:
         return None

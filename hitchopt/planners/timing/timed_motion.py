@@ -33,6 +33,7 @@ from hitchopt.planners.timing.profile import (
     path_grid,
 )
 from hitchopt.planners.timing.stretch import by_piece, jerk_peaks, needed_stretch
+from hitchopt.planners.timing.swing import calm_stretch, check_swing
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import divided
 from hitchopt.values import Array
@@ -302,6 +303,7 @@ def motion_in_parts(
         if pace is current:
             break
     factor = max(1.0, float(np.max(durations / np.diff(times))))
+    factor = calm_stretch(motion, factor) if factor > 1.0 else factor
     check_total(factor * motion.duration)
     return PartedMotion(motion.slowed(factor), factor * times)
 
@@ -328,13 +330,17 @@ def within_limits(motion: Motion, duration: float | None = None) -> Motion:
 
     Raises
     ------
-    InfeasibleError: ``duration`` is shorter than the limits permit.
+    InfeasibleError: ``duration`` is shorter than the limits permit, or with it vertices swing
+        farther than they do.
     """
-    fastest = needed_stretch(motion) * motion.duration
+    fastest = needed_stretch(motion)
     if duration is None:
-        return in_duration(motion, max(fastest, MIN_DURATION))
-    check_duration(duration, fastest)
-    return in_duration(motion, duration)
+        calm = calm_stretch(motion, fastest) * motion.duration
+        return in_duration(motion, max(calm, MIN_DURATION))
+    check_duration(duration, fastest * motion.duration)
+    timed = in_duration(motion, duration)
+    check_swing(timed)
+    return timed
 
 
 def motion_by(path: FlatPath, requirements: Requirements, clock: Clock) -> Motion:
