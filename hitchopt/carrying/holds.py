@@ -501,7 +501,8 @@ class GripHold(HoldingHitch):
         leg_lengths = np.stack([q_legs, slack - q_legs], axis=-1)
         clasp_heights = self.height + edges.heights
         clasps = np.concatenate([edges.polygon, clasp_heights[..., None]], axis=-1)
-        drones, legs = leg_chords(team, leg_lengths, directions, ratios, clasps)
+        of_legs = weight_ratios(team, leg_tension)
+        drones, legs = leg_chords(team, leg_lengths, directions, of_legs, clasps)
 
         level_contacts = edges.wraps.contacts
         contact_heights = np.full((*level_contacts.shape[:-1], 1), self.height)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.drone_forces import edge_sags
+from hitchopt.checks.drone_forces import SagTerms, edge_sags, leg_sags
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.friction import FrictionLegs
 from hitchopt.checks.grips import arc_lengths, wrapped_arcs
@@ -49,8 +49,6 @@ EXPORTED_SHARE = 10.0  # The same limit for files, which store millimetres, over
 TENSION_LIMIT = 1e-4
 """[N] Largest error of a tension: a quarter of a thousandth of a usual one, far below what a drone
 can measure."""
-
-RATIO_ORDER = 4  # Degree of a weight over a tension: both hardly change on spans that matter
 
 
 _saved_lengths = cached(saved_lengths)
@@ -93,9 +91,9 @@ class Cables(MotionSpans):
     @lazy
     def sag(self) -> Enclosed:
         """Excess of the cable over its chords; both straight parts of an edge sag as one."""
-        half_density, tension = self.scalars(edge_sags(self.source))
-        ratio = (half_density * tension.inverse).reduced(RATIO_ORDER) * (1.0 / self.scale)
-        of_parts = Enclosed(ratio.c[:, None], np.asarray(ratio.r)[..., None])
+        terms = [Enclosed(self.read(table)[:, :, None]) for table in _sag_terms(self.source)]
+        half_density, tension = terms
+        of_parts = half_density * tension.inverse * (1.0 / self.scale[:, None])
         if not self.source.has_wraps:
             cables = sagging_part(self.parts, of_parts).length
             exists = self.source.team.layout.exists[self.item][:, [0, 2, 1], None]
@@ -104,6 +102,17 @@ class Cables(MotionSpans):
         chords = whole * self.scale[:, None]
         cables = sagging_part(chords, of_parts).length
         return (self.parts.norm * (cables * chords.norm.inverse - 1.0)).sum()
+
+
+@cached
+def _sag_terms(motion: Motion) -> SagTerms:
+    """Return the terms of the parts of cables (pieces, n, 3 or 4, N+1) as in ``Cables.parts``."""
+    tables = list[Array]()
+    for legs, edges in zip(leg_sags(motion), edge_sags(motion), strict=True):
+        of_legs = legs.reshape(len(legs), -1, 2, legs.shape[-1])
+        of_edges = edges[:, :, None]
+        tables.append(joined_arrays([of_legs, *[of_edges] * (1 + motion.has_wraps)], axis=2))
+    return SagTerms(*tables)
 
 
 @cached

@@ -68,7 +68,7 @@ class ClaspSizes:
     legs: Array  # [N], tensions of legs
     edges: Array  # [N], tensions of edges, without the fraction of a rim
     leg_half_densities: Array  # [N/m], half of the weight of legs per length
-    # [N/m], half of the weight of edges per length, without the fraction of a rim
+    # [N/m], half of the weight of edges per length
     edge_half_densities: Array
     half_loads: Array  # [N], half of the clasp's load
     loads: Array  # (pieces, clasps, 3, degree + 1) [N], forces of objects
@@ -92,7 +92,7 @@ def clasp_sizes(motion: Motion) -> ClaspSizes:
         leg_tensions(motion)[:, 2 * cables + LEG_ENDS],
         edge_tensions(motion)[:, cables],
         half_density * taut[:, cables],
-        _without_strut(motion, half_density * taut)[:, cables],
+        half_density * taut[:, cables],
         half_loads * taut[:, cables],
         loads,
     ]
