@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.registry import NAMES, RULE_OF_KEY
+from hitchopt.checks.swing import SWING
 from hitchopt.drones.quadrotor import quadrotors
 from hitchopt.errors import Circumstance, InputError, Missing
 from hitchopt.geometry import Outline
@@ -148,10 +149,13 @@ class SwarmTeam:
 
 
 SWARM_TEAM = mapping_of(SwarmTeam, SwarmTeam.team)
-HITCH_LIMITS = tuple(
-    key.removeprefix("limits.")
-    for key, rule in RULE_OF_KEY.items()
-    if rule.bodies and all({"vertices", "cables"} & {*bodies} for bodies in rule.bodies)
+HITCH_LIMITS = (
+    *(
+        key.removeprefix("limits.")
+        for key, rule in RULE_OF_KEY.items()
+        if rule.bodies and all({"vertices", "cables"} & {*bodies} for bodies in rule.bodies)
+    ),
+    SWING.key.removeprefix("limits."),
 )
 """Keys of limits that do not apply to single drones."""
 

@@ -26,7 +26,7 @@ SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "team": (Team, "  #", ("cable_density", "tension")),
     "settled_team": (Team, "  #", ("cable_density", "tension", "cable_friction")),
     "limits": (Limits, "#  ", ()),
-    "stated_limits": (Limits, "  #", ("tracking",)),
+    "stated_limits": (Limits, "  #", ("tracking", "swing")),
     "separation": (Separation, "#  ", ()),
     "object": (ObjectKeys, "    #", (*SECTION_KEYS, "rim")),
     "swarm_team": (SwarmTeam, "  #", ()),

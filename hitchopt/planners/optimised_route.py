@@ -17,7 +17,6 @@ from hitchopt.planners.candidates import Effort, if_feasible
 from hitchopt.planners.morph.morph import load_violation, shape_violation
 from hitchopt.planners.path import Path
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
-from hitchopt.planners.timing.swing import check_swing
 from hitchopt.planners.timing.timed_motion import check_duration, in_duration
 
 if TYPE_CHECKING:
@@ -73,7 +72,6 @@ class OptimisedRoute:
         if self.duration is not None:
             check_duration(self.duration, plan.motion.duration)
             slower = in_duration(plan.motion, self.duration)
-            check_swing(slower)
             phases = (self.phase.retimed(0.0, self.duration),)
             plan = require_certified(replace(plan, motion=slower.replaced(phases=phases)))
         remark = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,9 @@ from hitchopt.planners.ends import SlackSplit, end_of_morph
 from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.optimised_route import OptimisedRoute
 from hitchopt.planners.rests import check_at_rest
-from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.planners.task import StepPlan, StepTask, require_certified
 from hitchopt.planners.timing.stretch import needed_stretch
+from hitchopt.planners.timing.swing import check_swing
 
 if TYPE_CHECKING:
     from hitchopt.planners.path import Path
@@ -137,8 +138,10 @@ class RouteSearch:
 
         ``straight`` is the path along straight lines and ``own`` the plan along it, if known.
         """
-        return OptimisedRoute(
-            self.task,
+        requirements = self.task.requirements
+        free = requirements if self.duration is None else requirements.in_haste
+        plan = OptimisedRoute(
+            self.task.within(free, self.task.before),
             self.end,
             self.phase,
             duration=self.duration,
@@ -147,6 +150,12 @@ class RouteSearch:
             refines=self.refines,
             cost=self.cost,
         ).plan()
+        if free is requirements:
+            return plan
+        # The fastest motion may swing, but not the one in the prescribed duration
+        motion = plan.motion.replaced(requirements=requirements)
+        check_swing(motion)
+        return require_certified(replace(plan, motion=motion))
 
 
 def leg_candidates(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.registry import RULE_OF_KEY, distances_of, names_of
+from hitchopt.checks.swing import SWING
 from hitchopt.errors import Violation
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import Problem
@@ -71,7 +72,8 @@ def _limit_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[
     """Yield the limits that a problem states."""
     for name, limit in keys_of(Limits).items():
         key = f"limits.{limit.name}"
-        value, rule = getattr(problem.limits, name), RULE_OF_KEY.get(key)
+        value = getattr(problem.limits, name)
+        rule = SWING if key == SWING.key else RULE_OF_KEY.get(key)
         if value is None or rule is None or name == "floor":  # the ground is where it is
             continue
         old, check = limit.to_file(value), PLAN_DURATION if name == "duration" else rule.name

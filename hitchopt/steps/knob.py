@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from hitchopt.checks.registry import RULES, distances_from, names_of
+from hitchopt.checks.swing import SWING
 from hitchopt.errors import OneLine
 from hitchopt.geometry import Outline
 from hitchopt.hitch.pairs import FIXED
@@ -26,7 +27,8 @@ PLAN_DURATION = "plan duration"
 @cache
 def checks_relaxed_by(by: Literal["length", "time", "tension"]) -> frozenset[str]:
     """Return the checks relaxed by larger lengths, longer times or lower tensions."""
-    return names_of(rule for rule in RULES if rule.ease == by)
+    of_rules = names_of(rule for rule in RULES if rule.ease == by)
+    return of_rules | {SWING.name} if by == "time" else of_rules
 
 
 @dataclass(frozen=True)

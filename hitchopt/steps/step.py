@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Literal, Self
 
+from hitchopt.checks.swing import SWING
 from hitchopt.errors import Circumstance, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
@@ -185,7 +186,7 @@ class Step(Record, ABC):
         """Yield the numbers that repair may change: a prescribed duration."""
         seconds = self.prescribed_duration
         if seconds is not None:
-            longer = Knob(self.time_key, seconds, "s", covers=frozenset({"duration"}))
+            longer = Knob(self.time_key, seconds, "s", covers=frozenset({"duration", SWING.name}))
             yield longer
             yield replace(longer, sign=-1, covers=frozenset({PLAN_DURATION}))
 

@@ -8,62 +8,83 @@ holds is refined. All of them have the same rests, so that each only takes a res
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchopt.checks.swing import LEFT_SHARE, swinging_hitches, worst_swing
+from hitchopt.checks.swing import (
+    LEFT_SHARE,
+    SwingingHitch,
+    has_inertia,
+    swinging_hitches,
+    worst_swing,
+)
 from hitchopt.errors import InfeasibleError, StepPlace, Violation, rounded_up
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.values.fields import with_fields
 
 RATIO = 1.04  # Ratio of consecutive stretches that are tried
-BISECTIONS = 3  # Bisections between the first one that holds and the one before
+BISECTIONS = 6  # Bisections between the first one that holds and the one before
 MAX_STRETCH = 100.0  # Largest stretch that is tried
 
 SHARE = 0.99  # Share of the limit that planners use
 LEFT_STEPS = 10  # Number of steps of the limit, in which later motions allow for the swing left
 
 
-def calm_stretch(motion: Motion, smallest: float = 1.0) -> float:
-    """Return the stretch in time, at least ``smallest``, with which a motion keeps its swing."""
-    limit = motion.requirements.limits.swing
-    hitches = [] if limit is None else swinging_hitches(motion)
-    if limit is None or not hitches or not math.isfinite(smallest):
-        return smallest
-    largest = SHARE * limit
+def calm_stretch(motion: Motion, smallest: float = 1.0, left_share: float = LEFT_SHARE) -> float:
+    """Return the stretch in time, at least ``smallest``, with which a motion keeps its swing.
 
-    def is_calm(stretch: float) -> bool:
+    It leaves at most ``left_share`` of the limit at its end.
+    """
+    limit = motion.requirements.limits.swing
+    if limit is None or not has_inertia(motion) or not math.isfinite(smallest):
+        return smallest
+    search = CalmSearch(swinging_hitches(motion.slowed(smallest)), SHARE * limit, left_share)
+    if search.is_calm(1.0):
+        return smallest
+    # The samples of a slower motion are farther apart: it is sampled anew
+    near = smallest * search.first() / RATIO
+    hitches = swinging_hitches(motion.slowed(near))
+    return near * replace(search, hitches=hitches).smallest()
+
+
+@dataclass(frozen=True, eq=False)
+class CalmSearch:
+    """The search of a stretch in time with which a swing keeps its limit."""
+
+    hitches: Sequence[SwingingHitch]  # In each part of the motion
+    largest: float  # [m] Largest distance of a vertex
+    left_share: float  # Largest share of it after the motion
+
+    def is_calm(self, stretch: float) -> bool:
         """Return whether the swing keeps its limit, and after the end leaves room for others."""
-        for hitch in hitches:
+        for hitch in self.hitches:
             distances = hitch.distances(stretch)
             left = np.max(distances[hitch.moving :])
-            if np.max(distances) > largest or left > LEFT_SHARE * largest:
+            if np.max(distances) > self.largest or left > self.left_share * self.largest:
                 return False
         return True
 
-    stretch = smallest
-    while not is_calm(stretch) and stretch < MAX_STRETCH * smallest:
-        stretch *= RATIO
-    if stretch == smallest:
-        return smallest
-    too_fast = stretch / RATIO
-    for _ in range(BISECTIONS):
-        middle = math.sqrt(too_fast * stretch)
-        if is_calm(middle):
-            stretch = middle
-        else:
-            too_fast = middle
-    while _exceeds(motion.slowed(stretch), limit) and stretch < MAX_STRETCH * smallest:
-        stretch *= 2.0 - SHARE  # samples of the slow motion are closer
-    return stretch
+    def first(self) -> float:
+        """Return the first stretch that holds, from 1 on in steps."""
+        stretch = 1.0
+        while not self.is_calm(stretch) and stretch < MAX_STRETCH:
+            stretch *= RATIO
+        return stretch
 
-
-def _exceeds(motion: Motion, limit: float) -> bool:
-    """Return whether the certified swing of a motion exceeds a limit [m]."""
-    worst = worst_swing(motion)
-    return worst is not None and worst.worst > limit
+    def smallest(self) -> float:
+        """Return the first stretch that holds, refined by bisection."""
+        stretch = self.first()
+        too_fast = stretch / RATIO
+        for _ in range(BISECTIONS if stretch > 1.0 else 0):
+            middle = math.sqrt(too_fast * stretch)
+            if self.is_calm(middle):
+                stretch = middle
+            else:
+                too_fast = middle
+        return stretch
 
 
 def check_swing(motion: Motion, *steps: StepPlace) -> None:
@@ -75,7 +96,7 @@ def check_swing(motion: Motion, *steps: StepPlace) -> None:
     worst = worst_swing(motion)
     if limit is None or worst is None or worst.worst <= limit:
         return
-    shortest = rounded_up(calm_stretch(motion) * motion.duration, 4)
+    shortest = rounded_up(calm_stretch(motion, left_share=1.0) * motion.duration, 4)
     remedy = f"allow {shortest:g} s, or raise limits.swing; null allows any"
     values = "swing", worst.worst, limit, "max", "m", worst.where
     when = f"at t = {worst.time - float(motion.drones.breaks[0]):.4g} s of the step"
