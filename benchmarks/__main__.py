@@ -28,6 +28,7 @@ NAMES = (
     "losses",
     "views",
     "tracking",
+    "tracking_errors",
     "controllers",
     "mutations",
 )

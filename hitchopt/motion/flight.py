@@ -371,7 +371,10 @@ def _joint_objects(
 
 
 def _joint_phases(teams: Sequence[TeamMotion]) -> tuple[Phase, ...]:
-    """Return common phases, split where a phase of any team ends, with the names of all."""
+    """Return common phases, split where a phase of any team ends, with the names of all.
+
+    The remark of a team's phase stands where that phase begins.
+    """
     begin, end = teams[0].motion.drones.breaks[[0, -1]].tolist()
     ends = [phase.end for flown in teams for phase in flown.motion.phases[:-1]]
     times = np.unique([begin, *ends, end])
@@ -385,7 +388,12 @@ def _joint_phases(teams: Sequence[TeamMotion]) -> tuple[Phase, ...]:
             f"{flown.name} {phase.name}" for flown, phase in zip(teams, active, strict=True)
         )
         step = max(phase.step for phase in active)
-        phases.append(Phase(name, step, start, stop, state=CableState.NONE))
+        remarks = [
+            f"{flown.name}: {phase.remark}"
+            for flown, phase in zip(teams, active, strict=True)
+            if phase.remark and abs(phase.start - start) <= JOINT
+        ]
+        phases.append(Phase(name, step, start, stop, "; ".join(remarks), CableState.NONE))
     return tuple(phases)
 
 

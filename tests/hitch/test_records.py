@@ -115,7 +115,8 @@ def test_the_default_tension_of_a_model_is_a_share_of_its_pull(name: str) -> Non
     weight, level = 9.81 * named.mass, team.tension[0] / 0.31
     assert math.degrees(math.atan2(level, weight)) == pytest.approx(45.0, abs=0.5)  # not 46°
     assert math.hypot(level, weight) < named.max_thrust
-    assert team.tracking == 0.06
+    assert isinstance(team.tracking, float)
+    assert 0.06 <= team.tracking < 0.08  # light drones are off by more in wind
     own = Team(3, 2.4, quadrotor=[name, Quadrotor(), name], tension=None)
     assert own.tension.tolist() == [team.tension[0], 0.4, team.tension[0]]
     assert Team(3, 2.4, quadrotor=name, tension=0.07).tension.tolist() == [0.07] * 3

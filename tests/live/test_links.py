@@ -271,7 +271,7 @@ def test_the_command_says_at_once_that_it_needs_signals_of_terminals(
 def test_controllers_that_are_not_streamed_to_are_refused(
     over: str, name: str, known: str, tmp_path: Path
 ) -> None:
-    team = ho.Team(3, 3.4, tension=0.2, quadrotor=ho.Quadrotor(controller=name))
+    team = ho.Team(3, 3.4, tension=0.2, quadrotor=ho.Quadrotor(controller=name, tracking=0.2))
     ho.solve(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.2), 1.5), ho.Hold(0.5)).save(
         tmp_path / "plan"
     )

@@ -28,6 +28,7 @@ from hitchopt.verify import verify
 from tests.helpers.plans import PROBLEMS, planned
 
 RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
+PID = ho.Quadrotor(controller="pid")
 
 
 @given(
@@ -60,7 +61,7 @@ def test_controllers_define_tracking_and_tilt_unless_the_problem_does() -> None:
         (RETUNED, {}, 0.06, 45.0),
         (RETUNED, {"tracking": 0.02}, 0.02, 45.0),
         (RETUNED, {"tracking": 0.0}, 0.0, 45.0),
-        (ho.Quadrotor(controller="pid"), {"tilt_deg": 30.0}, 0.52, 20.0),
+        (PID, {"tilt_deg": 30.0}, PID.loop.tracking, 20.0),
         (ho.Quadrotor(stiffness=3.0), {}, None, 45.0),
     ]
     for kind, stated, off, tilt in cases:
@@ -309,7 +310,7 @@ SOFT = ho.Quadrotor(0.25, 5.5, controller="px4", gains={"kp": 2.5, "kd": 1.25})
         (0.06, SOFT, True),
         (0.0, SOFT, True),
         ({"level": 0.2, "height": 0.06}, SOFT, False),  # a height below the level is the level
-        (0.08, SOFT, False),
+        (0.14, SOFT, False),
         (None, SOFT, False),
         (0.06, replace(SOFT, tracking=0.05), False),  # calibrated
         (0.01, ho.Quadrotor(0.25, 5.5), False),  # without a controller nothing is known
@@ -332,7 +333,7 @@ def test_a_stated_error_below_that_of_the_gains_is_warned_of(
     if warned:
         assert notes[0] in str(found[0])
         assert (
-            f"expect drones 0.0762 m off with the gains of px4; only {tracking:.3g} m is certified"
+            f"expect drones 0.135 m off with the gains of px4; only {tracking:.3g} m is certified"
             in notes[0]
         )
         assert plan.motion.requirements.limits.tracking == tracking
@@ -377,7 +378,7 @@ def refusal(controller: str) -> tuple[ho.Problem, InfeasibleError]:
     ("controller", "constraint", "words"),
     [
         ("pid", "feed_forward", "to one of mellinger, lee"),
-        ("lee", "cable_clearance", "tracking errors of 0.35 m add to this distance"),
+        ("lee", "cable_clearance", "tracking errors of 0.214 m add to this distance"),
     ],
 )
 def test_infeasible_tracking_is_refused_by_name(

@@ -393,7 +393,9 @@ REFUSED: dict[str, Data] = {
     "ceiling_with_errors": hitch(TRIANGLE, 1.5, limits__tracking=0.05) | {"arena": arena(1.53)},
     "floor": hitch(TRIANGLE, 0.02, limits__tracking=0.05) | {"arena": arena(3.0)},
     "wall": hitch(TRIANGLE, 1.5) | {"arena": arena(3.0, half_width=0.9)},
-    "errors_of_lee": hitch(TRIANGLE, 1.5, team__quadrotor={"mass": 0.132, "controller": "lee"}),
+    "errors_of_soft_gains": hitch(
+        TRIANGLE, 1.5, team__quadrotor={"mass": 0.132, "controller": "mellinger"}
+    ),
     "errors_beyond_distances": hitch(TRIANGLE, 1.5, limits__tracking=0.3),
     "large_pentagon": hitch(ring(5, 1.9), 1.5),
     "square_beyond_cables": hitch(ring(4, 1.8), 1.5),

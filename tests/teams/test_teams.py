@@ -248,6 +248,10 @@ def test_crossing_teams_climb_on_their_way_and_waits_say_for_whom() -> None:
         "east": [("transport", ""), (WAIT, "until north ends item 0")],
         "north": [("transport", "+0.66 m on the way, past other teams")],
     }
+    assert [phase.remark for phase in free.flight.phases] == [
+        "north: +0.66 m on the way, past other teams",
+        "east: until north ends item 0",
+    ]
     (_, north) = free.flight.teams
     heights = north.motion.vertices.at(np.linspace(0.0, free.duration, 101))[:, 0, 2]
     np.testing.assert_allclose(heights[[0, 50, 100]], [1.4, 2.06, 1.4], atol=1e-9)
