@@ -544,7 +544,7 @@ def test_set_points_that_hold_a_weight_are_above_drones_that_stand(tmp_path: Pat
     drones = PiecewisePolynomial.constant([0.0, 0.5], places)
     phases = [Phase("stand", 0, 0.0, 0.5, state=CableState.GROUND)]
     for ground, standing in ((-0.1, []), (0.0, NAMES)):
-        needs = Requirements(arena=ho.Arena([-3.0, -3.0, ground], [3.0, 3.0, 3.0]))
+        needs = Requirements(ho.Limits(floor=ground))
         here = ho.Motion.single(team, needs, drones, phases)
         exported(here, "crazyswarm2", tmp_path, hold_tension=True)
         script = (tmp_path / "fly.py").read_text(encoding="utf-8")

@@ -43,7 +43,8 @@ def floor_rows(motion: Motion, folder: Path) -> list[second.Row]:
 @pytest.mark.parametrize("kind", MOTIONS)
 def test_heights_are_those_of_samples_and_decide(kind: str, tmp_path: Path) -> None:
     motion = MOTIONS[kind]()
-    times = np.linspace(*motion.drones.breaks[[0, -1]], 2001)
+    start, end = motion.drones.breaks[[0, -1]].tolist()
+    times = np.linspace(start, end, 2001)
     lowest = sampled(motion, times, {"floor"})["floor"]
     for above, verdict in ((0.02, "proven"), (-0.02, "violated")):
         floor = lowest - above
