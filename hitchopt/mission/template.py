@@ -13,6 +13,7 @@ import numpy as np
 
 from hitchopt.drones.quadrotor import MODEL_NAMES, MODELS
 from hitchopt.geometry import ConvexPolygon, regular_polygon
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.mission.objects import SECTION_KEYS, ObjectKeys
@@ -24,7 +25,6 @@ from hitchopt.values.fields import EMPTY, keys_of, with_fields
 
 SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "team": (Team, "  #", ("cable_density", "tension")),
-    "settled_team": (Team, "  #", ("cable_density", "tension", "cable_friction")),
     "limits": (Limits, "#  ", ()),
     "stated_limits": (Limits, "  #", ("tracking", "swing")),
     "separation": (Separation, "#  ", ()),
@@ -50,7 +50,10 @@ shorter ones drones come too close as pairs swap or as legs are loosened."""
 EDGES = np.linspace(1.0, 2.0, 11) / 0.17
 """Edges of polygons over that radius, in the order of the search: from 1 m for Crazyflies."""
 
-PULL = 0.15  # Distance by which a vertex is pulled, over the edge
+MOVE = 0.27
+"""Distance by which two vertices move, and then back as an edge, over the edge: 30 cm for edges of
+1.1 m, more than friction at the clasps hides."""
+
 SPARE = 0.15  # [m] Cable length beyond the shortest, and at least within the longest
 ROUND = 0.05  # Step of cable lengths [m]
 HEIGHT = 0.62  # Altitude over cable length, at which hanging cables clear the ground
@@ -90,12 +93,12 @@ def for_team(text: str, model: str | None = None, robots: int | None = None) -> 
     tensions = fitting_tensions(polygons, required, sized)
     altitude = round(HEIGHT * length, 1)
     q, r = _starts(robots, length)
-    tied, pulled = (each.vertices for each in polygons)
-    reach = max(np.max(np.abs(pulled)) + 0.5 * (length - edge), np.max(np.abs(r)))
+    tied, wider = (each.vertices for each in polygons)
+    reach = max(np.max(np.abs(wider)) + 0.5 * (length - edge), np.max(np.abs(r)))
     half = math.ceil(reach + 1.0)
     noun = NAMES.get(robots, f"a polygon of {robots}")
     changed: dict[str, Any] = {
-        "title": f"Tie {noun}, pull one vertex, untie it",
+        "title": f"Tie {noun}, reshape it, untie it",
         "team.robots": robots,
         "team.cable_length": length,
         "team.cable_density": drone.cable_density,
@@ -106,7 +109,8 @@ def for_team(text: str, model: str | None = None, robots: int | None = None) -> 
         "start.drones.r": r.tolist(),
         "mission[0].form.polygon": tied.tolist(),
         "mission[0].form.altitude": altitude,
-        "mission[1].morph.polygon": pulled.tolist(),
+        "mission[1].morph.polygon": wider.tolist(),
+        "mission[2].move_edge.by": (np.round(tied - wider, 2)[1] + 0.0).tolist(),
     }
     if separation != Separation():
         radius, height = drone.separation
@@ -122,7 +126,7 @@ def _fitting_polygons(
 ) -> Iterator[tuple[float, list[ConvexPolygon], Range]]:
     """Yield edges [m] of regular polygons for which cables fit, the shortest first.
 
-    With each the polygon, the same with a vertex pulled outward, and the shortest and longest cable
+    With each the polygon, the same with an edge moved outward, and the shortest and longest cable
     length [m] of both.
     """
     radius = required.separation.radius
@@ -132,8 +136,10 @@ def _fitting_polygons(
     )
     for edge in np.round(EDGES * radius, 1).tolist():
         tied = np.round(regular_polygon(team.robots, edge, 0.5 * math.pi).vertices, 2) + 0.0
-        pulled = tied + np.outer(np.arange(len(tied)) == 0, [0.0, round(PULL * edge, 2)])
-        polygons = [ConvexPolygon(tied), ConvexPolygon(pulled)]
+        outward = unit(np.mean(tied[[1, 2]], axis=0))
+        moves = np.isin(np.arange(len(tied)), [1, 2])[:, None]
+        wider = tied + moves * np.round(MOVE * edge * outward, 2)
+        polygons = [ConvexPolygon(tied), ConvexPolygon(np.round(wider, 2) + 0.0)]
         lengths = fitting_lengths(polygons, required, team)
         if lengths is not None and lengths.largest >= lengths.smallest + 2.0 * SPARE:
             yield edge, polygons, lengths
