@@ -1,4 +1,4 @@
-"""Remove one slice after the other, with what needs it, and run what is left: ``make slices``.
+"""Remove every slice by itself, with what needs it, and run what is left: ``make slices``.
 
 In a copy of the project, the folders, the records and the commands of a slice and of the slices
 that need it are removed; then the core's tests run (``make test-core``), and one job of every slice
@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -97,7 +98,11 @@ def failures_without(gone: set[str]) -> list[str]:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         copy_without(gone, folder)
-        settings = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+        settings = os.environ | {
+            "PYTHONPATH": str(folder),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
 
         def run(words: list[str], code: int = 0) -> None:
             """Run a module of Python in the copy, and note a failure."""
@@ -117,16 +122,19 @@ def failures_without(gone: set[str]) -> list[str]:
 
 
 def main(names: list[str]) -> int:
-    """Remove the named slices, or all, one after the other; return the exit code."""
+    """Remove the named slices, or all, two at a time; return the exit code."""
+    removals = [
+        removed_with(name)
+        for name in names or [each.name for each in SLICES if each.name not in KEPT]
+    ]
     is_broken = False
-    for name in names or [each.name for each in SLICES if each.name not in KEPT]:
-        gone = removed_with(name)
-        failed = failures_without(gone)
-        state = "fails" if failed else "runs"
-        lines = "\n  ".join([f"without {', '.join(sorted(gone))}: {state}", *failed])
-        sys.stdout.write(f"{lines}\n")
-        sys.stdout.flush()
-        is_broken |= bool(failed)
+    with ThreadPoolExecutor(2) as threads:  # Each waits for processes of its own
+        for gone, failed in zip(removals, threads.map(failures_without, removals), strict=True):
+            state = "fails" if failed else "runs"
+            lines = "\n  ".join([f"without {', '.join(sorted(gone))}: {state}", *failed])
+            sys.stdout.write(f"{lines}\n")
+            sys.stdout.flush()
+            is_broken |= bool(failed)
     return int(is_broken)
 
 

@@ -32,6 +32,7 @@ class Slice:
     steps: Names = field(default_factory=dict)  # Steps of missions, in the order of keys
     drone_steps: Names = field(default_factory=dict)  # The only step of single drones
     checks: tuple[str, ...] = ()  # Modules with rules and reports of certificates
+    limits: tuple[str, ...] = ()  # Fields of ``Limits`` that these rules certify
     functions: Mapping[str, str] = field(default_factory=dict)  # Places that the core asks for
     names: Names = field(default_factory=dict)  # Public names of hitchopt
     room_names: Names = field(default_factory=dict)  # Names that scripts rarely need
@@ -44,6 +45,7 @@ SLICES = (
         "friction",
         steps={"steps": ("Settle",)},
         checks=("shifts",),
+        limits=("rest_shift",),
         functions={
             "after_step": "settling:with_settling",
             "notes": "shifts:rest_notes",
@@ -135,6 +137,7 @@ SLICES = (
         "losses",
         needs=("live",),
         checks=("checks",),
+        limits=("survive",),
         functions={
             "after_loss": "losing:after_loss_of",
             "after_loss_at_rest": "losing:after_loss_at_rest",

@@ -14,6 +14,7 @@ import pytest
 import hitchopt
 from hitchopt.cli import HEADINGS
 from hitchopt.errors import UnsupportedError
+from hitchopt.hitch import requirements
 from hitchopt.slices import SLICES, Slice, hooks, module_of, place_of, provided
 
 PACKAGE = Path(hitchopt.__file__).parent
@@ -90,3 +91,19 @@ def test_slices_are_imported_when_they_are_used(plans: bool) -> None:
     run = subprocess.run(words, capture_output=True, text=True, check=True)
     loaded = {*run.stdout.split()} & NAMES
     assert loaded <= (LOADED_WITH_CERTIFICATES | {"live"} if plans else set())
+
+
+def test_a_limit_without_the_slice_that_certifies_it_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    of_slices = {name for each in SLICES for name in each.limits}
+    assert of_slices == {*requirements.OF_SLICES}
+    stated = {"rest_shift": 0.05, "survive": "cable"}
+    for name in of_slices:
+        hitchopt.Limits(**{name: stated[name]})
+        kept = tuple(each for each in SLICES if name not in each.limits)
+        monkeypatch.setattr(requirements, "SLICES", kept)
+        with pytest.raises(hitchopt.InputError, match=f"{name}.*is not installed.*omit it"):
+            hitchopt.Limits(**{name: stated[name]})
+        hitchopt.Limits()
+        monkeypatch.undo()

@@ -19,6 +19,7 @@ from hitchopt.hitch.losses import displacements
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.objects.placing import check_placed
+from hitchopt.slices import SLICES
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, ByValue, check_instance, known, lazy, sequence, units
 from hitchopt.values.fields import Key, documented, points, store, store_degrees, with_fields, words
@@ -30,6 +31,8 @@ STANDING = "an object that stands"
 HANGING = "a cable that hangs free"
 LANDING = "a landing"
 """What needs the ground, in messages without one."""
+
+OF_SLICES = ("rest_shift", "survive")  # Limits that rules of slices certify
 
 MAX_CORNERS = 1000  # Largest number of corners of one outline in a file
 
@@ -137,6 +140,11 @@ class Limits(OneLine):
     def __post_init__(self, tilt_deg: float | None, body_rate_deg: float | None) -> None:
         store(self, **vars(self))
         store_degrees(self, tilt=tilt_deg, body_rate=body_rate_deg)
+        for name in OF_SLICES:
+            value = getattr(self, name)
+            if value is not None and not any(name in each.limits for each in SLICES):
+                bound = "null: what certifies it is not installed"
+                raise InputError(name, value, bound, "omit it")
 
     @property
     def tube(self) -> Tube:
