@@ -34,7 +34,7 @@ from tests.helpers.motions import free_motion, random_flight, row, through
 from tests.helpers.plans import planned
 from tests.helpers.second_opinions import opinion_of, violated
 
-DEEP = ho.Arena([-50.0, -50.0, -20.0], [50.0, 50.0, 20.0])
+DEEP = ho.Limits(floor=-20.0)
 TYING = ("tie_carry_untie", "form_square")
 CLASPED = tuple(state for state in STATES if state.clasped)
 
@@ -186,7 +186,7 @@ def test_ones_own_objects_keep_off_a_cable_that_is_tied(state: CableState, tmp_p
     whole, t, place = tied(state)
     for away, kept in ((0.0, False), (3.0, True)):
         body, poses = visit(whole, t, place + [away, 0.0, 0.0])
-        needs = replace(whole.requirements, objects={"visitor": body}, arena=DEEP)
+        needs = replace(whole.requirements, objects={"visitor": body}, limits=DEEP)
         breaks = merged_breaks([whole.drones.breaks, poses.breaks])
         finer = on_breaks_of(whole, breaks)
         visited = finer.replaced(requirements=needs, poses=on_breaks(poses, breaks))
@@ -202,7 +202,7 @@ def test_objects_of_other_teams_keep_off_a_cable_that_is_tied(
     whole, t, place = tied(state)
     for away, kept in ((0.0, False), (3.0, True)):
         body, poses = visit(whole, t, place + [away, 0.0, 0.0])
-        needs = replace(whole.requirements, objects={"visitor": body}, arena=DEEP)
+        needs = replace(whole.requirements, objects={"visitor": body}, limits=DEEP)
         drones = PiecewisePolynomial.constant(poses.breaks, np.array([[9.0, 9.0, 1.0]]))
         phases = [Phase("fly", 0, *poses.breaks[[0, -1]].tolist())]
         other = Motion.single(ho.Swarm(1), needs, drones, phases).replaced(poses=poses)
