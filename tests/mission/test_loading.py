@@ -332,7 +332,9 @@ def test_a_hint_names_a_key_that_the_reader_accepts(form: str) -> None:
         for first in range(0, len(mixed), size):
             data = copy.deepcopy(FORMS[form])
             section = value_at(data, place)
-            stated = [word for word in mixed[first : first + size] if word not in section]
+            # With robots, single drones would be a team with cables, which has other keys
+            own = {*section, "robots"}
+            stated = [word for word in mixed[first : first + size] if word not in own]
             section |= dict.fromkeys(stated, 0.5)
             for error in unknown_keys(data):
                 if not (hinted := hinted_key(error)):
