@@ -31,6 +31,8 @@ from hitchopt.motion.states import TAUT_RATIO, states_at
 from hitchopt.values import Array, Indices, true_runs
 
 STEP = 0.02  # [s] Largest time between samples
+LONGEST_REST = 30.0  # [s] Time of a rest after which nothing swings
+MAX_SAMPLES = 100_000  # Largest number of samples: those of 2,000 s
 AT_REST = 1e-6  # [m/s²] Largest acceleration of a plan at rest
 AFTER = 3.0  # [s] Time for which vertices swing after the end of a motion
 LEFT_SHARE = 0.5  # Largest share of the limit that planners leave while a motion rests
@@ -46,18 +48,16 @@ class SwingingHitch:
     hitch: LinearHitch
     samples: Indices  # (J,), number of samples about each of its rests
     accelerations: Array  # (S, nodes, 3) [m/s²], those of planned nodes
-    start: float  # [s] Time of the first sample
+    times: Array  # (S,) [s], of the samples
     step: float  # [s] Time between samples
 
     @classmethod
     def of(cls, motion: Motion) -> SwingingHitch:
         """Return the hitch of a motion whose cables are taut throughout."""
         team = motion.team
-        start, end = motion.drones.breaks[[0, -1]].tolist()
-        steps = math.ceil((end - start) / STEP)
-        times = np.linspace(start, end, steps + 1)
+        times, step = _sample_times(motion)
         firsts = _rests(_nodes(motion, times))
-        rests = states_at(motion, times[firsts] - start)
+        rests = states_at(motion, times[firsts] - motion.drones.breaks[0])
         planned = planned_rest(
             team, rests.positions, rests.vertices, rests.tensions, rests.cable_forces
         )
@@ -66,23 +66,36 @@ class SwingingHitch:
         accelerations = np.zeros((len(times) + after, *hitch.inertia.shape[1:2], 3))
         accelerations[: len(times)] = _nodes(motion, times, 2)
         samples = np.diff(firsts, append=len(accelerations))
-        return cls(hitch, samples, accelerations, start, (end - start) / steps)
+        later = times[-1] + step * np.arange(1, after + 1)
+        return cls(hitch, samples, accelerations, np.append(times, later), step)
 
     @property
     def moving(self) -> int:
         """Number of samples before the end of the motion."""
         return len(self.accelerations) - math.ceil(AFTER / STEP)
 
-    @property
-    def times(self) -> Array:
-        """(S,) [s]: times of the samples."""
-        return np.asarray(self.start + self.step * np.arange(len(self.accelerations)))
-
     def distances(self, slowing: float = 1.0) -> Array:
         """Return distances (S, points) [m] of points from the plan; times may be ``slowing``."""
         accelerations = self.accelerations / slowing**2
         offsets = self.hitch.response(self.samples, accelerations, slowing * self.step)
         return length(offsets[:, self.hitch.points])
+
+
+def _sample_times(motion: Motion) -> tuple[Array, float]:
+    """Return times (S,) [s] of samples of a motion, and the time [s] between them.
+
+    Of a long rest they leave out what follows LONGEST_REST; a very long motion has MAX_SAMPLES.
+    """
+    breaks, durations = motion.drones.breaks, motion.drones.durations
+    moves = np.zeros(len(durations), dtype=np.bool_)
+    for curve in (motion.drones, motion.vertices):
+        moves |= np.any(np.ptp(curve.coefficients, axis=-1) > 0.0, axis=(1, 2))
+    kept = np.where(moves, durations, np.minimum(durations, LONGEST_REST))
+    ends = np.append(0.0, np.cumsum(kept))
+    steps = min(math.ceil(ends[-1] / STEP), MAX_SAMPLES)
+    along = np.linspace(0.0, ends[-1], steps + 1)
+    piece = np.clip(np.searchsorted(ends, along, "right") - 1, 0, len(kept) - 1)
+    return np.asarray(breaks[piece] + (along - ends[piece])), float(ends[-1]) / steps
 
 
 def _nodes(motion: Motion, times: Array, derivative: int = 0) -> Array:
