@@ -287,6 +287,7 @@ class ReportRule(Quantity):
     remedy: str
     free_remedy: str
     assumes_gamma: bool = True
+    has_default: bool = False  # Whether there is a limit that requirements need not state
     of_whole: bool = False  # Whether it depends on what flies before and after a part of a plan
 
     # Whether there is anything to evaluate in a motion
@@ -295,10 +296,10 @@ class ReportRule(Quantity):
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check | None:
         """Return the value of one team as a check, which holds without a limit.
 
-        Without anything to evaluate, it is empty if there is a limit, and None otherwise. It is
-        None if the quantity does not apply.
+        Without anything to evaluate, it is empty if there is a limit, and None otherwise. With a
+        default limit, it is also None if the quantity does not apply.
         """
-        if not self.applies(motion):
+        if self.has_default and not self.applies(motion):
             return None
         with np.errstate(all="ignore"):
             worst_case = self.evaluate(motion, results, gamma)

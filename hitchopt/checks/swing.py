@@ -224,6 +224,7 @@ SWING = ReportRule(
     remedy="move more slowly, pull harder (team.tension), or use lighter cables and loads",
     free_remedy="",
     assumes_gamma=False,
+    has_default=True,
     applies=has_inertia,
     group="distances",
     derivative=2,
