@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -98,7 +99,7 @@ def test_a_limit_without_the_slice_that_certifies_it_is_refused(
 ) -> None:
     of_slices = {name for each in SLICES for name in each.limits}
     assert of_slices == {*requirements.OF_SLICES}
-    stated = {"rest_shift": 0.05, "survive": "cable"}
+    stated: dict[str, Any] = {"rest_shift": 0.05, "survive": "cable"}
     for name in of_slices:
         hitchopt.Limits(**{name: stated[name]})
         kept = tuple(each for each in SLICES if name not in each.limits)

@@ -95,7 +95,7 @@ class Cables(MotionSpans):
         half_density, tension = terms
         of_parts = half_density * tension.inverse * (1.0 / self.scale[:, None])
         if not self.source.has_wraps:
-            cables = sagging_part(self.parts, of_parts).length
+            cables: Enclosed = sagging_part(self.parts, of_parts).length
             exists = self.source.team.layout.exists[self.item][:, [0, 2, 1], None]
             return ((cables - self.parts.norm) * exists.astype(np.float64)).sum()
         whole = Enclosed(self.read(_parts(self.source, True)), 2.0 * self.noise)

@@ -220,7 +220,7 @@ class Clasps(MotionSpans):
         cable_length = Enclosed(team.cable_length[self.cables][..., None, None])
         wrapped = cable_length - legs - other_legs.length
         half_weight = self.exact(self.sizes.edge_half_densities) * wrapped
-        pull = level_pull(tensions, half_weight)
+        pull: Enclosed = level_pull(tensions, half_weight)
         return LegsAndEdges.split(self.along).edges * pull - half_weight.along_z()
 
     @lazy

@@ -50,7 +50,8 @@ def _enclosed_sag(of_level: Enclosed, of_rise: Enclosed) -> Sag:
     error = np.where(is_valid, 0.5 * curvature * change * change, np.inf)
 
     def tangent(value: Array, slope: Array) -> Enclosed:
-        along = of_level * (slope * by_level)[..., None] + of_rise * (slope * by_rise)[..., None]
+        along: Enclosed = of_level * (slope * by_level)[..., None]
+        along = along + of_rise * (slope * by_rise)[..., None]
         return (along + value[..., None]).widened(error)
 
     return Sag(

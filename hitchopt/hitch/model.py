@@ -48,8 +48,9 @@ class Edge:
     def select(self, index: Indices) -> Edge:
         """Return the edges at some indices."""
         ratio = None if self.ratio is None else self.ratio.select(index)
-        parts = self.along, self.cable, self.first, self.second, self.tension
-        return Edge(*(part.select(index) for part in parts), ratio)
+        along, cable = self.along.select(index), self.cable.select(index)
+        first, second = self.first.select(index), self.second.select(index)
+        return Edge(along, cable, first, second, self.tension.select(index), ratio)
 
 
 def cable_between(vector: Series, tension: Series, weight: Any) -> Series:

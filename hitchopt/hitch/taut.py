@@ -155,7 +155,8 @@ def taut_chord(direction: Series, cable: Series, ratio: Series) -> Series:
     weight = half_weight * inverse_mean
     bulge = polynomial(BULGE, weight * weight)
     per_force = cable * inverse_mean
-    return per_force * (bulge * direction + (rise - bulge * direction[2]).along_z())
+    chord: Series = per_force * (bulge * direction + (rise - bulge * direction[2]).along_z())
+    return chord
 
 
 def polynomial(
