@@ -125,6 +125,8 @@ def _parts(motion: Motion, whole: bool = False) -> Array:
     leaving, arriving = bent_edges(motion)
     if not motion.has_wraps:
         edges = [leaving]
+        if not motion.team.layout.closed:  # from its clasp, where the tension is known
+            edges = [np.concatenate([-leaving[:, :1], leaving[:, 1:]], axis=1)]
     elif whole:
         edges = [leaving + arriving, leaving + arriving]
     else:

@@ -36,7 +36,7 @@ from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import level_pull
 from hitchopt.hitch.taut import TautPart
-from hitchopt.motion.loads import leg_tensions, object_loads, ramping, strut_shares, tautness
+from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
@@ -72,9 +72,6 @@ class ClaspSizes:
     edge_half_densities: Array
     half_loads: Array  # [N], half of the clasp's load
     loads: Array  # (pieces, clasps, 3, degree + 1) [N], forces of objects
-
-
-_ramping = cached(ramping)
 
 
 @cached
@@ -326,12 +323,9 @@ def _relative(force: Enclosed, spans: Clasps) -> Bound:
 def _balance(spans: Clasps) -> Bound:
     """Return the norm of the residual over the smaller tension; infinite where a clasp is open.
 
-    It is zero where no balance is claimed: while tensions rise or fall.
+    While tensions rise or fall, weights are scaled with them: of real ones no balance is claimed.
     """
     residual = _relative(spans.residual, spans)
-    ramps = _ramping(spans.source)
-    if np.any(ramps):
-        residual = Bound(np.where(ramps[spans.piece], 0.0, residual.value), residual.x)
     if spans.hooked is not None and spans.hooked.all():
         return residual
     opening = _opening(spans)
@@ -462,6 +456,6 @@ EQUILIBRIUM = CheckRule(
     proves="the largest force residual at a clasp, over the smaller tension; the excess of a leg's "
     r"pull, over its edge's, beyond $e^{\pm\mu\beta}$ (friction); infinite if cables do not press "
     "on each other",
-    unproven="balance while tensions rise or fall (`tension`, `relax`); stiffness: vertices stay "
-    "within millimetres only while drones are in place",
+    unproven="balance of the whole weight while tensions rise or fall (`tension`, `relax`); "
+    "stiffness: vertices stay within millimetres only while drones are in place",
 )

@@ -32,6 +32,7 @@ from hitchopt.values import Array, Indices, true_runs
 
 STEP = 0.02  # [s] Largest time between samples
 LONGEST_REST = 30.0  # [s] Time of a rest after which nothing swings
+LONGEST_PIECE = 60.0  # [s] Duration of a piece beyond which it moves too slowly to swing
 MAX_SAMPLES = 100_000  # Largest number of samples: those of 2,000 s
 AT_REST = 1e-6  # [m/s²] Largest acceleration of a plan at rest
 AFTER = 3.0  # [s] Time for which vertices swing after the end of a motion
@@ -76,21 +77,23 @@ class SwingingHitch:
 
     def distances(self, slowing: float = 1.0) -> Array:
         """Return distances (S, points) [m] of points from the plan; times may be ``slowing``."""
-        accelerations = self.accelerations / slowing**2
-        offsets = self.hitch.response(self.samples, accelerations, slowing * self.step)
+        with np.errstate(all="ignore"):  # of numbers beyond all limits
+            accelerations = self.accelerations / slowing**2
+            offsets = self.hitch.response(self.samples, accelerations, slowing * self.step)
         return length(offsets[:, self.hitch.points])
 
 
 def _sample_times(motion: Motion) -> tuple[Array, float]:
     """Return times (S,) [s] of samples of a motion, and the time [s] between them.
 
-    Of a long rest they leave out what follows LONGEST_REST; a very long motion has MAX_SAMPLES.
+    They leave out what follows LONGEST_REST of a rest and LONGEST_PIECE of a piece that moves, too
+    slowly to swing; a very long motion has MAX_SAMPLES.
     """
     breaks, durations = motion.drones.breaks, motion.drones.durations
     moves = np.zeros(len(durations), dtype=np.bool_)
     for curve in (motion.drones, motion.vertices):
         moves |= np.any(np.ptp(curve.coefficients, axis=-1) > 0.0, axis=(1, 2))
-    kept = np.where(moves, durations, np.minimum(durations, LONGEST_REST))
+    kept = np.minimum(durations, np.where(moves, LONGEST_PIECE, LONGEST_REST))
     ends = np.append(0.0, np.cumsum(kept))
     steps = min(math.ceil(ends[-1] / STEP), MAX_SAMPLES)
     along = np.linspace(0.0, ends[-1], steps + 1)

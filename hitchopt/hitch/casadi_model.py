@@ -65,7 +65,7 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
     q_leg_behind, q_leg_ahead = map(Series, ca.vertsplit(symbols["q_legs"]))
     weight = symbols["weight"] if weighted else None
     load = ca.vertcat(0.0, 0.0, -symbols["load"]) if loaded else None
-    edge_behind = Edge.of(point - point_behind, tension_behind, weight)
+    edge_behind = Edge.of(point - point_behind, tension_behind, weight, 1.0)  # that at the clasp
     edge_ahead = Edge.of(point_ahead - point, tension_ahead, weight)
     legs = clasp_legs(
         (edge_behind, edge_ahead),

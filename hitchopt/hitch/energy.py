@@ -41,9 +41,9 @@ AXIAL_STIFFNESS = 1e4
 """[N] EA of a braided polyethylene line of 1 mm. Without stretch, tensions of rigid drones would be
 undetermined."""
 
-SLACK_RATIO = 0.95
+SLACK_RATIO = 0.80
 """A cable is slack below this ratio of its tension to the weight of its longest span at first:
-level spans of that length then sag by a sixth of it."""
+level spans of that length then sag by a quarter of it."""
 
 LARGEST_SAG = 0.43
 """Largest ``(w D / 2m)²``, D the level length of a span that grew: catenaries end at 0.439."""
@@ -100,6 +100,11 @@ class Arcs(NamedTuple):
     energies: Any  # [J], E
     level_pulls: Any  # [N/m], level force over the level chord
     rise_pulls: Any  # [N/m], vertical force over the rise, without half of the weight
+
+    def pulls(self, chords: Any) -> Any:
+        """Return forces (…, S, n, 3, 3) [N] along chords (…, S, n, 3, 3) [m], without weights."""
+        factors = np.stack([self.level_pulls, self.level_pulls, self.rise_pulls], axis=-1)
+        return factors * chords
 
 
 class CableForces(NamedTuple):
@@ -178,13 +183,7 @@ class HitchEnergy:
         m = T[..., None] + self.weight * spans.heights
         arcs = self._arcs(spans, m)
         span_energies = arcs.energies
-        pulls = np.concatenate(
-            [
-                arcs.level_pulls[..., None] * spans.chords[..., :2],
-                (arcs.rise_pulls * spans.chords[..., 2])[..., None],
-            ],
-            axis=-1,
-        )
+        pulls = arcs.pulls(spans.chords)
         energies = np.sum(span_energies, axis=-1) - T * self.lengths
         excess_tension = T - self.reference
         energies = energies - 0.5 * self.compliance * excess_tension * excess_tension
@@ -312,10 +311,10 @@ class HitchEnergy:
         return bends * (bends / np.pi) if self.alike else bends
 
     def leg_pulls(self, positions: Array) -> Array:
-        """Return tensions of legs along them (S, n, 2, 3) [N], toward the end of the cable."""
+        """Return pulls of legs (S, n, 2, 3) [N], toward the end of the cable, without weights."""
         spans = self.spans(positions[:, self.nodes])
         m = self.tensions(positions)[..., None] + self.weight * spans.heights
-        pulls = m[..., None] * spans.directions
+        pulls = self._arcs(spans, m).pulls(spans.chords)
         return np.asarray(pulls[..., ::2, :])
 
     def pulls(self, on_ends: Any) -> Any:

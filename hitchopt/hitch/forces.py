@@ -71,8 +71,9 @@ def cable_of(chords: Array, ratios: Array) -> Array:
     """
     if not np.any(ratios):
         return length(chords)
-    chord = Series.of_vectors(in_space(chords))
-    cables: Array = taut_part(chord, _constant(ratios)).length.value[0]
+    with np.errstate(all="ignore"):  # no part hangs so steeply that its series overflows
+        chord = Series.of_vectors(in_space(chords))
+        cables: Array = taut_part(chord, _constant(ratios)).length.value[0]
     return cables
 
 
@@ -83,8 +84,10 @@ def leg_vectors(cables: Array, directions: Array, ratios: Array) -> Array:
     """
     if not np.any(ratios):
         return cables[..., None] * directions
-    along = Series.of_vectors(directions)
-    chord = taut_chord(along, _constant(cables), _constant(np.broadcast_to(ratios, cables.shape)))
+    with np.errstate(all="ignore"):
+        along = Series.of_vectors(directions)
+        half_weights = _constant(np.broadcast_to(ratios, cables.shape))
+        chord = taut_chord(along, _constant(cables), half_weights)
     return np.moveaxis(chord.value, 0, -1)
 
 
@@ -107,6 +110,8 @@ def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) 
     Tensions are (…, n) [N]; None for those of the team.
     """
     cable_tensions = team.tension if tensions is None else tensions
+    if not team.layout.closed:  # a chain's first edge may slope, and has its tension at its end
+        edges = np.concatenate([-edges[..., :1, :], edges[..., 1:, :]], axis=-2)
     edge_cables = cable_of(edges, weight_ratios(team, cable_tensions))
     slack: Array = team.cable_length - edge_cables
     return slack

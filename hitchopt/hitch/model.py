@@ -33,16 +33,23 @@ class Edge:
     ratio: Any  # [1/m], half of the weight per length over the tension; None without weight
 
     @classmethod
-    def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
-        """Return the edge along a vector; ``weight`` is that of cables [N/m], or None."""
+    def of(cls, vector: Series, tension: Series, weight: Any, at_second: Any = None) -> Edge:
+        """Return the edge along a vector; ``weight`` is that of cables [N/m], or None.
+
+        The tension is that at its first end, or where ``at_second`` is 1, at its second one: as at
+        the start of a chain, whose first edge may slope.
+        """
         chord = vector.dot(vector).root
         along = vector / chord
         if weight is None:
             pull = tension * along
             return cls(along, chord, pull, pull, tension, None)
+        at_first = tension
+        if at_second is not None:
+            at_first = tension - vector[2] * (weight * at_second)
+        part = taut_part(vector, tension.constant(0.5 * weight) / at_first)
+        first, second = at_first * part.force(), at_first * part.force(second=True)
         ratio = tension.constant(0.5 * weight) / tension
-        part = taut_part(vector, ratio)
-        first, second = tension * part.force(), tension * part.force(second=True)
         return cls(along, part.length, first, second, tension, ratio)
 
     def select(self, index: Indices) -> Edge:
@@ -210,7 +217,10 @@ def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> tuple[Array, Array]:
         if equal:
             tensions = tensions.constant(tensions.value)
         edges = Edge.of(
-            vertices.select(layout.ends) - vertices.select(layout.starts), tensions, weight
+            vertices.select(layout.ends) - vertices.select(layout.starts),
+            tensions,
+            weight,
+            None if layout.closed else np.arange(team.robots) == 0,
         )
         q_legs = _scalars(flat.q_legs)
         legs = clasp_legs(

@@ -348,8 +348,8 @@ def test_both_bounds_agree_for_every_loop(
     tube = (0.01, 0.015)
     errors = {"cable_length": 0.004, "friction": 0.005}
     for rest, (_, other) in zip(own, rests(plans[0]), strict=True):
-        # Pulls of a plan differ from those of statics by terms of the sag, which move soft loops
-        assert other.radii(errors, tube) == pytest.approx(rest.radii, abs=1e-4)
+        # The verifier's legs sag by their own tension with friction, which moves soft loops
+        assert other.radii(errors, tube) == pytest.approx(rest.radii, abs=2e-4)
 
 
 def test_drones_are_held_by_as_much_more_as_legs_pull_by_friction(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from hitchopt.values import Array
 from tests.helpers.motions import row
 
 G = 9.81
-UNSAMPLED = {"continuity", "tension", "duration", "interlacing"}
+UNSAMPLED = {"continuity", "tension", "duration", "interlacing", "swing"}
 """Checks against limits of which samples say nothing."""
 
 

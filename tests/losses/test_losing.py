@@ -352,7 +352,7 @@ def test_a_stream_drops_all_cables_where_no_chain_lands() -> None:
     commanded, step = stream_of(plan)
     series = flown_by(step, 0.8)
     commanded.obey("lose 1")
-    series += flown_by(step, 6.0)
+    series += flown_by(step, 12.0)
     assert "without cables" in commanded.obey("land")
     series += flown_by(step, 5.0)
     check_continuous(series, plan.motion.requirements.limits)

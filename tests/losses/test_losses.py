@@ -17,6 +17,7 @@ from hitchopt.hitch.losses import Losses, displacements, places_after_loss
 from hitchopt.losses.checks import SURVIVABLE, after_losses
 from hitchopt.losses.table import after_loss
 from hitchopt.values import Array
+from tests.helpers.by_hand import catenary
 from tests.helpers.survivors import BOUNDS, at_bound, below_a_whole_cable, held
 
 SOFT = ho.Quadrotor(stiffness=4.75)
@@ -48,7 +49,7 @@ def test_what_remains_is_the_hitch_of_a_chain(robots: int) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_other_clasp_feels_the_same_force(seed: int) -> None:
-    """Of a heavy cable with its tension at the clasp, as a parabola below its chord."""
+    """Of a heavy cable with its tension at the clasp, a catenary."""
     rng = np.random.default_rng(seed)
     team = ho.Team(4, 2.3, tension=rng.uniform(0.5, 0.7, 4), cable_density=0.01)
     roll = rng.uniform(-0.3, 0.3, 4)
@@ -60,20 +61,13 @@ def test_the_other_clasp_feels_the_same_force(seed: int) -> None:
         tension, weight = team.tension[drone // 2], 0.01 * GRAVITY
 
         def force(chord: Array, tension: float = tension, weight: float = weight) -> Array:
-            """Return the force of a sagging part, whose size is its tension, and its length."""
-            level = float(np.hypot(*chord[:2]))
-            size = float(np.linalg.norm(chord))
-            length = size * (1.0 + (weight * level / tension) ** 2 / 24.0)
-            low, high = 0.0, 2.0 * tension
-            for _ in range(60):  # the pull along the chord with which the force is the tension
-                pull = 0.5 * (low + high)
-                found = pull * chord / size - [0.0, 0.0, 0.5 * weight * length]
-                low, high = (pull, high) if np.linalg.norm(found) < tension else (low, pull)
-            return np.append(found, length)
+            """Return the tension where a part leaves the vertex, a vector, and its length."""
+            start, _, length = catenary(chord[None], np.array([tension]), np.array([0.5 * weight]))
+            return np.append(start[0], length[0])
 
         before = force(hitch.vertices[clasp] - hitch.vertices[far])
         after = force(place - hitch.vertices[far])
-        np.testing.assert_allclose(after[:3], before[:3], atol=2e-4 * tension)
+        np.testing.assert_allclose(after[:3], before[:3], atol=1e-5 * tension)
         own_leg = force(hitch.drones[drone] - hitch.vertices[clasp])
         assert after[3] == pytest.approx(before[3] + own_leg[3], abs=1e-6)
 

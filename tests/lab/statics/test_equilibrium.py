@@ -71,10 +71,8 @@ def resting_energy(hitch: ho.Hitch, **options: Any) -> HitchEnergy:
 
 @given(seeds, st.integers(3, 5), topologies)
 @settings(max_examples=10)
-def test_planned_hitches_rest_as_planned_up_to_second_order_in_weight(
-    seed: int, n: int, topology: str
-) -> None:
-    """Legs rise for the weight; vertices move by second order in weight over tension."""
+def test_planned_hitches_rest_as_planned(seed: int, n: int, topology: str) -> None:
+    """Legs rise for the weight: plan and statics have the same catenaries."""
     plain, deviations = random_hitch(seed, n, topology), list[float]()
     rest = settle_hitch(plain)
     np.testing.assert_allclose(rest.vertices, plain.vertices, atol=1e-9)
@@ -85,11 +83,11 @@ def test_planned_hitches_rest_as_planned_up_to_second_order_in_weight(
         hitch = random_hitch(seed, n, topology, density=density)
         rest = settle_hitch(hitch)
         deviations.append(float(np.max(np.abs(rest.vertices - hitch.vertices))))
-        np.testing.assert_allclose(rest.tensions, hitch.team.tension, rtol=2e-3)
+        np.testing.assert_allclose(rest.tensions, hitch.team.tension, rtol=1e-6)
         # Level drones would let the vertices sag by far more.
         level = settle_hitch(plain, cable_density=density)
         assert deviations[-1] < 0.25 * np.max(np.abs(level.vertices - level.planned_vertices))
-    assert deviations[0] < 0.4 * deviations[1]
+    assert max(deviations) < 1e-6
 
 
 @given(seeds, st.integers(3, 6), topologies, st.sampled_from([0.0, 0.01]), st.booleans())
