@@ -25,7 +25,6 @@ from hitchopt.values.fields import EMPTY, keys_of, with_fields
 
 SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "team": (Team, "  #", ("cable_density", "tension")),
-    "tied_team": (Team, "  #", ("cable_density", "tension", "cable_friction")),
     "limits": (Limits, "#  ", ()),
     "stated_limits": (Limits, "  #", ("tracking", "swing")),
     "separation": (Separation, "#  ", ()),

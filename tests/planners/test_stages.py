@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.drones.controllers import FlightController
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import tracking_warnings
 from hitchopt.planners.timing.following import distances_from
@@ -93,13 +94,17 @@ def quintic(s: float) -> float:
 
 @pytest.mark.parametrize(
     ("stated", "tracking"),
-    [(None, 0.06), (ho.Limits(speed=0.5), 0.06), (ho.Limits(tracking=0.0), 0.0)],
+    [(None, None), (ho.Limits(speed=0.5), None), (ho.Limits(tracking=0.0), 0.0)],
 )
 @pytest.mark.parametrize("duration", [None, 4.0])
 def test_paths_of_named_drones_have_their_tracking_errors(
-    stated: ho.Limits | None, tracking: float, duration: float | None
+    stated: ho.Limits | None, tracking: float | None, duration: float | None
 ) -> None:
-    team = ho.Team(3, 2.4, quadrotor=ho.Quadrotor(model="crazyflie_2.1"))
+    """None: what follows from the gains of the drones."""
+    drone = ho.Quadrotor(model="crazyflie_2.1")
+    team = ho.Team(3, 2.4, quadrotor=drone)
+    if tracking is None:
+        tracking = FlightController.of("mellinger", drone.mass, drone.gains).tracking
 
     def moved(s: float) -> Array:
         """Return the triangle, moved smoothly and at rest at both ends."""
