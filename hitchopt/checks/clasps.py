@@ -216,9 +216,10 @@ class Clasps(MotionSpans):
         other_legs = self._taut(others, self.sizes.leg_half_densities, self.exact(self.sizes.legs))
         cable_length = Enclosed(team.cable_length[self.cables][..., None, None])
         wrapped = cable_length - legs - other_legs.length
-        half_weight = self.exact(self.sizes.edge_half_densities) * wrapped
+        half_weight: Enclosed = self.exact(self.sizes.edge_half_densities) * wrapped
         pull: Enclosed = level_pull(tensions, half_weight)
-        return LegsAndEdges.split(self.along).edges * pull - half_weight.along_z()
+        along: Enclosed = LegsAndEdges.split(self.along).edges * pull
+        return along - half_weight.along_z()
 
     @lazy
     def forces(self) -> Enclosed:
