@@ -41,9 +41,9 @@ AXIAL_STIFFNESS = 1e4
 """[N] EA of a braided polyethylene line of 1 mm. Without stretch, tensions of rigid drones would be
 undetermined."""
 
-SLACK_RATIO = 1.145
+SLACK_RATIO = 1.2
 """A cable is slack below this ratio of its tension to the weight of its longest span at first:
-level spans of that length then sag by an eighth of it."""
+level spans of that length then sag by 12 % of it."""
 
 LARGEST_SAG = 0.43
 """Largest ``(w D / 2m)²``, D the level length of a span that grew: catenaries end at 0.439."""
