@@ -396,7 +396,7 @@ def test_a_stated_start_is_the_clock() -> None:
 
 def test_remarks_name_bare_edges() -> None:
     cloud, p = triangle().markers, task("triangle").states.vertices[0]
-    bare = np.linalg.norm(cloud.positions - 0.5 * (p[0] + p[1]), axis=1) > 0.45
+    bare = np.linalg.norm(cloud.positions - 0.5 * (p[0] + p[1]), axis=1) > 0.5
     sparse = replace(triangle(), markers=Track(cloud.t[bare], cloud.positions[bare]))
     result = ho.evaluate(sparse, task("triangle"))
     detected = np.isfinite(result.vertices[result.t < 1.5, :, 0]).mean(axis=0)
