@@ -402,3 +402,18 @@ def test_nodes_of_a_scene_are_where_the_plan_has_them(stem: str, tmp_path: Path)
         lengths = sum(np.linalg.norm(b - a, axis=-1) for a, b in ends)
         # Drawn hooks are larger than real ones, so that drawn cables are a little longer.
         np.testing.assert_allclose(lengths, team.cable_length[k], rtol=0.04)
+
+
+def test_vertices_are_marked_while_tensions_rise_or_fall(tmp_path: Path) -> None:
+    plan = planned("form_triangle")
+    write_vertices(tmp_path / "v.csv", plan.flight, 20.0)
+    t, balanced = numbers(tmp_path / "v.csv", "t balanced", vertex="0").T
+    ramps = [phase for phase in plan.motion.phases if phase.name in ("tension", "relax")]
+    assert ramps
+    inside = np.zeros(len(t), dtype=np.bool_)
+    for phase in ramps:
+        inside |= (t > phase.start + 1e-6) & (t < phase.end - 1e-6)
+    assert np.all(balanced[inside] == 0.0)
+    ends = [end for phase in ramps for end in (phase.start, phase.end)]
+    at_ends = np.any(np.abs(t[:, None] - ends) <= 1e-6, axis=1)
+    assert np.all(balanced[~inside & ~at_ends] == 1.0)
